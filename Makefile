@@ -1,0 +1,41 @@
+# `make demo` and `make test` set up everything they need in .venv; nothing but Python 3.11 and make must be there.
+PYTHON ?= python3
+# Versions that were tested together; `make CONSTRAINTS= test` tries the newest ones.
+CONSTRAINTS ?= constraints.txt
+EXTRAS ?= mujoco,pybullet,dart,dev
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help demo test test-slow lint bench messages clean
+
+help: ## List what can be made.
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
+
+demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
+	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo
+
+test: $(READY) ## Run the tests, the long matrices left out.
+	$(BIN)/python -m pytest -m "not slow" -n auto
+
+test-slow: $(READY) ## Run the long matrices.
+	$(BIN)/python -m pytest -m slow -n auto
+
+lint: $(READY) ## Check style and types.
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(READY) ## Measure speed; prints a table and writes benchmarks/results.json.
+	$(BIN)/python -m benchmarks
+
+messages: $(READY) ## Generate lcmtypes/imolo_msgs from lcmtypes/*.lcm.
+	cd lcmtypes && ../$(BIN)/lcm-gen --python --ppath . *.lcm
+
+clean: ## Remove the environment and everything generated.
+	rm -rf .venv results .mypy_cache .pytest_cache .ruff_cache .hypothesis
+
+$(READY): pyproject.toml $(CONSTRAINTS)
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS)]"
+	touch $(READY)

@@ -1,0 +1,1 @@
+"""Simulated bodies: engines and the plant around them."""

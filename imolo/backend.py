@@ -1,0 +1,87 @@
+"""What a backend is: a body, simulated or real, that speaks the LCM streams and is the only clock."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from imolo.bus import Bus
+from imolo.config.model import Model
+
+if TYPE_CHECKING:
+    from imolo.config.experiment import ExperimentConfig
+
+
+class TrialKind(StrEnum):
+    """What a trial is for."""
+
+    THROW = "throw"  # a ball flies past the resting robot, to learn how balls fly
+    TRAINING = "training"  # the robot moves without a ball, to learn its motions
+    HIT = "hit"  # the robot is to hit a ball
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One start of the robot from its ready pose.
+
+    Chance in a trial depends on these three alone, so every backend and every method meets the same balls.
+    """
+
+    kind: TrialKind
+    index: int
+    seed: int
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Return the random numbers of this trial for one purpose, independent of all other purposes."""
+        key = [self.seed, list(TrialKind).index(self.kind), self.index, *purpose.encode()]
+        return np.random.default_rng(np.random.SeedSequence(key))
+
+
+class EventName(StrEnum):
+    """What a `trial_event_t` tells."""
+
+    START = "start"
+    THROW = "throw"
+    ONSET = "onset"
+    HIT = "hit"
+    BALL_LANDED = "ball_landed"
+    ROBOT_LANDED = "robot_landed"
+    END = "end"
+
+
+class Backend(Protocol):
+    """Publishes MOCAP, VALVE_PRESSURE and TRIAL events, and executes VALVE_COMMAND; one instance per trial."""
+
+    @property
+    def utime(self) -> int:
+        """Time of the backend's clock [µs]."""
+
+    def start(self, bus: Bus, trial: Trial) -> None:
+        """Bring the robot to its ready pose and join the bus."""
+
+    def advance(self, until_utime: int) -> None:
+        """Simulate up to this time, or wait for it [µs].
+
+        Raises:
+            DivergenceError: The simulated state is no longer finite.
+        """
+
+    def close(self) -> None:
+        """Leave the bus and free what the backend holds."""
+
+
+@dataclass(frozen=True)
+class BackendPlugin:
+    """What an entry point of the group `imolo.backends` names.
+
+    Attributes:
+        summary: One line for `imolo backends`.
+        options: Model of the backend's own section of the config.
+        create: Makes a backend for one trial from the whole config and the validated options.
+    """
+
+    summary: str
+    options: type[Model]
+    create: Callable[["ExperimentConfig", Model], Backend]

@@ -1,0 +1,47 @@
+"""The one table of channels: who says what to whom, and how often."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import imolo_msgs
+
+VALVE_COMMAND = "VALVE_COMMAND"
+VALVE_PRESSURE = "VALVE_PRESSURE"
+MOCAP = "MOCAP"
+BALL_STATE = "BALL_STATE"
+PLAN = "PLAN"
+TRIAL = "TRIAL"
+TRUTH_ROBOT = "TRUTH_ROBOT"
+TRUTH_BALL = "TRUTH_BALL"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of the bus.
+
+    Attributes:
+        name: At most 63 characters, the limit of LCM.
+        message_type: Generated class of its messages.
+        rate: How often it speaks, in words.
+        sender: Who publishes on it.
+    """
+
+    name: str
+    message_type: type[Any]
+    rate: str
+    sender: str
+
+
+CHANNELS: dict[str, Channel] = {
+    channel.name: channel
+    for channel in (
+        Channel(VALVE_COMMAND, imolo_msgs.valve_command_t, "every mocap frame while a motion runs", "planner, trainer"),
+        Channel(VALVE_PRESSURE, imolo_msgs.valve_pressure_t, "1 kHz (config)", "backend"),
+        Channel(MOCAP, imolo_msgs.mocap_frame_t, "120 Hz (config)", "backend"),
+        Channel(BALL_STATE, imolo_msgs.ball_state_t, "every mocap frame with a flying ball", "planner"),
+        Channel(PLAN, imolo_msgs.plan_t, "every mocap frame", "planner"),
+        Channel(TRIAL, imolo_msgs.trial_event_t, "events", "runner, backend"),
+        Channel(TRUTH_ROBOT, imolo_msgs.truth_robot_t, "1 kHz (config)", "simulated backend"),
+        Channel(TRUTH_BALL, imolo_msgs.truth_ball_t, "1 kHz (config)", "simulated backend"),
+    )
+}

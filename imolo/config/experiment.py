@@ -1,0 +1,148 @@
+"""The whole configuration of an experiment: what a YAML file may say, and every default."""
+
+import hashlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from imolo.ball.fit import BallModelConfig
+from imolo.ball.tracker import BallTrackerConfig
+from imolo.config.model import Model, NonNegative, Positive
+from imolo.config.simulation import SimulationConfig
+from imolo.errors import ConfigError, did_you_mean
+from imolo.method.forward_model import GPR, ForwardModelConfig
+from imolo.method.motion import TRAINING_MOTIONS, MotionTemplate, Theta
+from imolo.method.planner import PlannerConfig
+from imolo.method.table import TableGrid
+from imolo.registry import load_backend
+
+
+class BackendConfig(Model):
+    """Which backend; every other key is an option of that backend and checked by it."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str
+
+
+class RobotConfig(Model):
+    """The robot that moves, as far as the method must know it."""
+
+    name: str = Field("liberobot", description="a table learned on another robot is refused")
+    hand_marker: int = Field(6, description="mocap label of the hand that is to hit the ball")
+
+
+class TrainingConfig(Model):
+    """How the motions are learned (Sec. VII-B)."""
+
+    motions: Annotated[tuple[Theta, ...], Field(min_length=1)] = TRAINING_MOTIONS
+    sampled_from: NonNegative = Field(0.13, description="since t_w, excluded [s], Sec. VII-B")
+    sampled_to: NonNegative = Field(0.22, description="since t_w, excluded [s], Sec. VII-B")
+
+
+class CampaignConfig(Model):
+    """How many balls, and how long a trial lasts."""
+
+    learning_throws: Annotated[int, Field(ge=3)] = Field(10, description="to learn how balls fly, Sec. V-C")
+    balls: Annotated[int, Field(ge=1)] = Field(20, description="to be hit, Sec. VII-B")
+    duration: Positive = Field(1.6, description="longest trial with a ball [s]")
+    tail: NonNegative = Field(0.05, description="recorded after the ball was hit or has landed [s]")
+
+
+class MethodConfig(Model):
+    """One way to learn and to plan; the defaults are the paper's."""
+
+    forward_model: ForwardModelConfig = ForwardModelConfig()
+    grid: TableGrid = TableGrid()
+    planner: PlannerConfig = PlannerConfig()
+
+
+METHODS: dict[str, MethodConfig] = {
+    "paper": MethodConfig(),
+    "gpr": MethodConfig(forward_model=GPR.model_copy(update={"time": "since_swing"})),
+}
+
+
+class ExperimentConfig(Model):
+    """An experiment on one backend."""
+
+    seed: Annotated[int, Field(ge=0)] = 1
+    backend: BackendConfig
+    robot: RobotConfig = RobotConfig()
+    motion: MotionTemplate = MotionTemplate()
+    training: TrainingConfig = TrainingConfig()
+    tracker: BallTrackerConfig = BallTrackerConfig()
+    ball_model: BallModelConfig = BallModelConfig()
+    methods: Annotated[dict[str, MethodConfig], Field(min_length=1)] = METHODS
+    campaign: CampaignConfig = CampaignConfig()
+    simulation: SimulationConfig = SimulationConfig()
+
+    def backend_options(self) -> Model:
+        """Return the validated options of the backend.
+
+        Raises:
+            BackendNotFoundError: The backend is unknown or not installed.
+            ConfigError: An option is unknown or out of range.
+        """
+        plugin = load_backend(self.backend.name)
+        try:
+            return plugin.options.model_validate(self.backend.model_extra or {})
+        except ValidationError as error:
+            raise ConfigError(explain(error, plugin.options, f"backend {self.backend.name!r}")) from error
+
+    def digest(self) -> str:
+        """Return a short hash of everything that shapes the results."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:12]
+
+
+def load_config(path: Path) -> ExperimentConfig:
+    """Read and check a YAML file.
+
+    Raises:
+        ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
+        BackendNotFoundError: Its backend is unknown or not installed.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} holds no settings; it needs at least a line such as `backend: {{name: mujoco}}`")
+    try:
+        config = ExperimentConfig.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(explain(error, ExperimentConfig, str(path))) from error
+    config.backend_options()
+    return config
+
+
+def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
+    """Return one line that names the first wrong key or value, and the nearest right key."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = _keys_beside(model, first["loc"])
+        message = f"unknown key {key!r}{did_you_mean(str(first['loc'][-1]), known)}"
+        if known:
+            message += f" (known: {', '.join(known)})"
+    elif first["type"] == "missing":
+        message = f"{key!r} is missing"
+    else:
+        message = f"{key!r} is {first['input']!r}: {first['msg'].removeprefix('Value error, ')}"
+    others = len(error.errors()) - 1
+    return f"{where}: {message}" + (f" (and {others} more)" if others else "")
+
+
+def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that are known where `location` ends."""
+    current: Any = model
+    for part in location[:-1]:
+        fields = getattr(current, "model_fields", {})
+        if part not in fields:
+            return []
+        current = fields[part].annotation
+    return sorted(getattr(current, "model_fields", {}))

@@ -1,0 +1,1 @@
+"""Running trials and judging them by their logs."""

@@ -1,0 +1,133 @@
+"""What a log says about hand and ball, in the terms of the method; simulation and robot are read alike."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from imolo import channels
+from imolo.ball.flight import Flight, free_flight
+from imolo.ball.model import LinearBallModel
+from imolo.ball.tracker import UNLABELLED, BallTracker, BallTrackerConfig
+from imolo.config.experiment import RobotConfig, TrainingConfig
+from imolo.errors import TrainingDataError
+from imolo.log import Log
+from imolo.method.forward_model import TrainingData
+from imolo_msgs import mocap_frame_t, plan_t
+
+Array = NDArray[np.float64]
+
+SPLINE_REACH = 0.1  # [s] of a marker's track on both sides that is interpolated
+
+
+def marker_track(log: Log, marker_id: int) -> tuple[Array, Array]:
+    """Return time [s], shape (N,), and position [m], shape (N, 3), of a labelled marker in the frames that show it."""
+    samples = [
+        (frame.utime * 1e-6, marker.marker_position)
+        for frame in log.messages[channels.MOCAP]
+        for marker in frame.markers
+        if marker.marker_id == marker_id
+    ]
+    if not samples:
+        return np.empty(0), np.empty((0, 3))
+    return np.array([time for time, _ in samples]), np.array([position for _, position in samples])
+
+
+def hand_at(log: Log, hand_marker: int, time: float) -> Array | None:
+    """Return where the hand was between two frames [m], shape (3,), or None if it was not seen around `time` [s].
+
+    A cubic through the neighbouring frames: at 120 Hz the hand moves 70 mm from one to the next.
+    """
+    times, positions = marker_track(log, hand_marker)
+    near = np.abs(times - time) <= SPLINE_REACH
+    times, positions = times[near], positions[near]
+    if len(times) < 4 or not times[0] <= time <= times[-1]:
+        return None
+    return np.asarray(CubicSpline(times, positions)(time))
+
+
+def last_plan(log: Log) -> plan_t | None:
+    """Return the last plan of the motion that was executed; None if none was started."""
+    started = [plan for plan in log.messages[channels.PLAN] if plan.plan_onset_utime > 0]
+    return started[-1] if started else None
+
+
+def hand_samples(log: Log, robot: RobotConfig, training: TrainingConfig) -> TrainingData:
+    """Return where the hand was while it could hit, the tuples (s, t, theta) of Sec. VII-B.
+
+    Raises:
+        TrainingDataError: The log holds no motion, or the hand was not seen during the swing.
+    """
+    plan = last_plan(log)
+    if plan is None:
+        raise TrainingDataError(f"{log.path} holds no motion to learn from")
+    k, t_w = plan.theta
+    time, position = marker_track(log, robot.hand_marker)
+    time = time - plan.plan_onset_utime * 1e-6
+    swing = (time - t_w > training.sampled_from) & (time - t_w < training.sampled_to)
+    if not swing.any():
+        raise TrainingDataError(
+            f"{log.path}: marker {robot.hand_marker} was not seen {training.sampled_from} to {training.sampled_to} s "
+            "after t_w; is robot.hand_marker the hand?"
+        )
+    count = int(swing.sum())
+    return TrainingData(np.tile((k, t_w), (count, 1)), time[swing], position[swing])
+
+
+def merge(samples: list[TrainingData]) -> TrainingData:
+    """Return the samples of several trials as one set."""
+    if not samples:
+        raise TrainingDataError("there are no training trials; give at least one motion in training.motions")
+    return TrainingData(
+        np.concatenate([s.theta for s in samples]),
+        np.concatenate([s.time for s in samples]),
+        np.concatenate([s.position for s in samples]),
+    )
+
+
+def ball_flight(log: Log, throw_tracker: BallTracker) -> Flight:
+    """Return the free flight of the ball that a log shows, as measured.
+
+    Args:
+        log: Of a throw.
+        throw_tracker: Follows the ball from frame to frame; only its choice of the marker is used.
+
+    Raises:
+        TrainingDataError: The log shows no flight.
+    """
+    throw_tracker.reset()
+    times, positions = [], []
+    for frame in log.messages[channels.MOCAP]:
+        estimate = throw_tracker.update(frame)
+        if estimate is None or not estimate.in_flight:
+            continue
+        measured = nearest_unlabelled(frame, estimate.state[:3])
+        if measured is not None:
+            times.append(frame.utime * 1e-6)
+            positions.append(measured)
+    try:
+        return free_flight(np.array(times), np.array(positions).reshape(-1, 3))
+    except TrainingDataError as error:
+        raise TrainingDataError(f"{log.path}: {error}") from error
+
+
+def nearest_unlabelled(frame: mocap_frame_t, position: Array, within: float = 0.05) -> Array | None:
+    """Return the unlabelled marker of a frame nearest to a position [m], shape (3,); None if none is `within` [m]."""
+    candidates = np.array([m.marker_position for m in frame.markers if m.marker_id == UNLABELLED]).reshape(-1, 3)
+    distances = np.linalg.norm(candidates - position, axis=1)
+    if not len(distances) or not distances.min() <= within:
+        return None
+    return np.asarray(candidates[distances.argmin()])
+
+
+def throw_tracker(config: BallTrackerConfig, time_step: float) -> BallTracker:
+    """Return a tracker that knows nothing of the ball but gravity, to find the throws a model is learned from.
+
+    Its model leaves room for any drag: a white acceleration of 5 m²/s³ lets the filter follow a steady 8 m/s².
+    """
+    A = np.eye(6)
+    A[:3, 3:] = time_step * np.eye(3)
+    B = np.array([0.0, 0.0, -0.5 * 9.81 * time_step**2, 0.0, 0.0, -9.81 * time_step])
+    ballistic = LinearBallModel(
+        A=A, B=B, time_step=time_step, acceleration_density=5.0, measurement_std=np.full(3, 0.005)
+    )
+    return BallTracker(ballistic, config)

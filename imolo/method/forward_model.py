@@ -1,0 +1,239 @@
+"""The forward model s = f(theta, t) (Eq. 2): nonlinear interpolation between the trials (Sec. IV-B1)."""
+
+from dataclasses import dataclass
+from inspect import signature
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, JsonValue, model_validator
+from sklearn.base import clone
+
+from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
+from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sums, make_regressor, one_thread
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """The tuples (s, t, theta) of the trials (Sec. IV-A), copied and read-only.
+
+    Attributes:
+        theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+        time: Time since motion onset [s], shape (N,).
+        position: Hand positions in the world frame [m], shape (N, 3).
+
+    Raises:
+        TrainingDataError: There are no samples, the shapes disagree, or a value is not finite.
+    """
+
+    theta: Array
+    time: Array
+    position: Array
+
+    def __post_init__(self) -> None:
+        for name, width in (("theta", (2,)), ("time", ()), ("position", (3,))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+            if array.ndim != len(width) + 1 or array.shape[1:] != width:
+                raise TrainingDataError(f"{name} has shape {array.shape}; give {('N', *width)}".replace("'", ""))
+            if len(array) != len(self.theta):
+                raise TrainingDataError(
+                    f"{name} has {len(array)} samples, theta {len(self.theta)}; give as many of both"
+                )
+            if not np.isfinite(array).all():
+                row = np.argwhere(~np.isfinite(array))[0, 0]
+                raise TrainingDataError(
+                    f"{name} of sample {row} is {array[row]}; leave out samples that are not finite"
+                )
+        if len(self.theta) == 0:
+            raise TrainingDataError(
+                "there are no training samples; record trials that reach the sampled time after t_w"
+            )
+
+
+class ForwardModelConfig(BaseModel):
+    """Which regression approximates f and what it is fed; `PAPER_SVR`, `GPR` and `MLP` are ready-made.
+
+    Attributes:
+        estimator: Class name of a scikit-learn regressor.
+        parameters: Arguments of its constructor; the others keep scikit-learn's defaults. Where another estimator than
+            SVR is named, none are given.
+        inputs: Feed k, t_w [s] and time [s] as they are, or with zero mean and unit variance over the samples.
+        outputs: The same for the positions [m].
+        time: Third input: the time since the onset as in Eq. 2, or since the swing, t - t_w.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    estimator: str = "SVR"
+    parameters: dict[str, JsonValue] = {"C": 0.1427, "epsilon": 0.0143, "gamma": 1.0}
+    inputs: Literal["raw", "standardized"] = "raw"
+    outputs: Literal["raw", "standardized"] = "raw"
+    time: Literal["since_onset", "since_swing"] = "since_onset"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_the_paper_its_parameters(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("estimator", "SVR") != "SVR":
+            return {"parameters": {}, **values}
+        return values
+
+
+PAPER_SVR = ForwardModelConfig()
+"""Support vector regression with the constants of Sec. VI: C = 0.1427, epsilon = 0.0143, kernel width 1.0.
+
+Our reading: C and epsilon have the ratio 10 of iqr(Y) / 1.349 and iqr(Y) / 13.49, the defaults of MATLAB's fitrsvm
+with KernelScale 1. So they belong to raw inputs and to outputs in metres, where epsilon is 14.3 mm.
+"""
+
+GPR = ForwardModelConfig(
+    estimator="GaussianProcessRegressor",
+    parameters={"n_restarts_optimizer": 2, "random_state": 0},
+    inputs="standardized",
+    outputs="standardized",
+)
+"""Gaussian process regression [20], ours: each coordinate has its own length scale for each input."""
+
+MLP = ForwardModelConfig(
+    estimator="MLPRegressor",
+    parameters={
+        "hidden_layer_sizes": [16, 16],
+        "activation": "tanh",
+        "solver": "lbfgs",
+        "alpha": 0.01,
+        "max_iter": 2000,
+        "random_state": 0,
+    },
+    inputs="standardized",
+    outputs="standardized",
+)
+"""A computational neural network [19], ours: small, as the samples are few."""
+
+
+@dataclass(frozen=True)
+class _Scaling:
+    mean: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, values: Array, mode: str) -> Self:
+        if mode == "raw":
+            return cls(np.zeros(values.shape[1]), np.ones(values.shape[1]))
+        spread = values.std(axis=0)
+        return cls(values.mean(axis=0), np.where(spread > 0.0, spread, 1.0))
+
+    def apply(self, values: Array) -> Array:
+        return (values - self.mean) / self.spread
+
+
+class ForwardModel:
+    """Predicts where the hand is from the motion parameter and the time (Eq. 2)."""
+
+    def __init__(self, config: ForwardModelConfig = PAPER_SVR) -> None:
+        """Create an unfitted model.
+
+        Raises:
+            ConfigError: The estimator or one of its parameters is unknown.
+        """
+        self.config = config
+        self._regressor = make_regressor(config.estimator, config.parameters, num_inputs=3)
+        self._training: TrainingData | None = None
+        self._input_scaling: _Scaling
+        self._output_scaling: _Scaling
+        self._gaussian_sums: list[GaussianSum] = []
+
+    @property
+    def training(self) -> TrainingData:
+        """What the model was fitted to.
+
+        Raises:
+            NotTrainedError: `fit` has not been called.
+        """
+        if self._training is None:
+            raise NotTrainedError(f"the {self.config.estimator} model has not been fitted; call fit first")
+        return self._training
+
+    def fit(self, theta: ArrayLike, time: ArrayLike, position: ArrayLike) -> Self:
+        """Learn from the samples of the trials.
+
+        Args:
+            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            time: Time since motion onset [s], shape (N,).
+            position: Hand positions in the world frame [m], shape (N, 3).
+
+        Raises:
+            TrainingDataError: There are no samples, the shapes disagree, or a value is not finite.
+            ConfigError: The estimator refuses a parameter or the number of samples.
+        """
+        training = TrainingData(np.asarray(theta), np.asarray(time), np.asarray(position))
+        features = self._features(training.theta, training.time)
+        input_scaling = _Scaling.of(features, self.config.inputs)
+        output_scaling = _Scaling.of(training.position, self.config.outputs)
+        inputs = input_scaling.apply(features)
+        regressor = clone(self._regressor)
+        fit_quietly(regressor, inputs, output_scaling.apply(training.position), self.config.estimator)
+        self._regressor, self._gaussian_sums = regressor, gaussian_sums(regressor, inputs)
+        self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training
+        return self
+
+    def predict(self, theta: ArrayLike, time: ArrayLike) -> Array:
+        """Predict hand positions (Eq. 2).
+
+        Args:
+            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            time: Time since motion onset [s], shape (N,).
+
+        Returns:
+            Hand positions in the world frame [m], shape (N, 3).
+
+        Raises:
+            NotTrainedError: `fit` has not been called.
+        """
+        inputs = self._inputs(theta, time)
+        result = np.empty((len(inputs), 3))
+        with one_thread():
+            for gaussian_sum in self._gaussian_sums:
+                result[:, gaussian_sum.outputs] = gaussian_sum.evaluate(inputs)
+            if not self._gaussian_sums:
+                for part in chunks(len(inputs)):
+                    result[part] = self._regressor.predict(inputs[part])
+        return result * self._output_scaling.spread + self._output_scaling.mean
+
+    def predict_std(self, theta: ArrayLike, time: ArrayLike) -> Array:
+        """Predict the standard deviation of hand positions, the noise of the samples included.
+
+        Args:
+            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            time: Time since motion onset [s], shape (N,).
+
+        Returns:
+            Standard deviation along each world axis [m], shape (N, 3).
+
+        Raises:
+            NotTrainedError: `fit` has not been called.
+            ConfigError: The estimator knows no standard deviation.
+        """
+        inputs = self._inputs(theta, time)
+        estimators: list[Any] = getattr(self._regressor, "estimators_", [self._regressor])
+        if not all("return_std" in signature(estimator.predict).parameters for estimator in estimators):
+            raise ConfigError(
+                f"estimator {self.config.estimator} predicts no standard deviation; use 'GaussianProcessRegressor'"
+            )
+        result = np.empty((len(inputs), 3))
+        with one_thread():
+            for part in chunks(len(inputs)):
+                for output, estimator in enumerate(estimators):
+                    result[part, output] = estimator.predict(inputs[part], return_std=True)[1]
+        return result * self._output_scaling.spread
+
+    def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:
+        _ = self.training
+        return self._input_scaling.apply(self._features(np.asarray(theta, float), np.asarray(time, float)))
+
+    def _features(self, theta: Array, time: Array) -> Array:
+        if self.config.time == "since_swing":
+            time = time - theta[:, 1]
+        return np.column_stack((theta, time))

@@ -1,0 +1,187 @@
+"""The planner: from a mocap frame to commands, by the lookup table (Sec. IV, Fig. 3)."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from imolo import channels
+from imolo.backend import EventName
+from imolo.ball.model import LinearBallModel
+from imolo.ball.tracker import BallTracker, BallTrackerConfig
+from imolo.bus import Bus
+from imolo.config.model import Model, NonNegative, Positive
+from imolo.errors import TableFileError
+from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
+from imolo.method.table import Executed, LookupTable
+from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
+
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+
+
+class PlannerConfig(Model):
+    """How the planner decides."""
+
+    lead_time: NonNegative = Field(
+        0.0083,
+        description="exposure of a frame to the onset it may command [s], assumed: one frame",
+    )
+    horizon: Positive = Field(0.80, description="how far ahead the ball is predicted [s]")
+    update: bool = Field(True, description="whether commands are updated after the onset, Sec. IV-B3")
+
+
+class PlanState(IntEnum):
+    """What a `plan_t` says of itself."""
+
+    WAITING = plan_t.WAITING
+    TRACKING = plan_t.TRACKING
+    STARTED = plan_t.STARTED
+    UPDATED = plan_t.UPDATED
+    KEPT = plan_t.KEPT
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A motion that has been decided on.
+
+    Attributes:
+        theta: Its parameter.
+        commands: Its U.
+        target: Grid point the hand is to reach [m], shape (3,).
+        hit_utime: When it is to be there [µs].
+    """
+
+    theta: Theta
+    commands: Commands
+    target: Array
+    hit_utime: int
+
+
+class Planner:
+    """Listens to MOCAP and TRIAL, answers every frame with PLAN, and with VALVE_COMMAND while a motion runs.
+
+    It knows neither engine nor backend: all it has is the table, the ball model and the messages.
+    """
+
+    def __init__(
+        self,
+        table: LookupTable,
+        ball_model: LinearBallModel,
+        config: PlannerConfig,
+        tracker: BallTrackerConfig,
+        on_decision: Callable[[float], object] | None = None,
+    ) -> None:
+        """Prepare for the first trial.
+
+        Args:
+            table: What the robot has learned of its motions.
+            ball_model: What it has learned of flying balls.
+            config: How to decide.
+            tracker: How the ball is found and followed.
+            on_decision: Told how long each answer took [s], mocap message in to commands out.
+        """
+        self._table = table
+        self._template: MotionTemplate = table.template
+        self._ball_model = ball_model
+        self._config = config
+        self._tracker = BallTracker(ball_model, tracker)
+        self._steps = int(config.horizon / ball_model.time_step)
+        self._step_times = ball_model.time_step * np.arange(1, self._steps + 1)
+        self._lead = to_microseconds(config.lead_time)
+        self._on_decision = on_decision
+        self._decision: Decision | None = None
+        self._newest = -1
+        self._sequence = 0
+
+    def attach(self, bus: Bus) -> None:
+        """Join the bus."""
+        self._bus = bus
+        bus.subscribe(channels.TRIAL, self._on_trial)
+        bus.subscribe(channels.MOCAP, self._on_frame)
+
+    def _on_frame(self, frame: mocap_frame_t) -> None:
+        begin = time.perf_counter()
+        self._answer(frame)
+        if self._on_decision is not None:
+            self._on_decision(time.perf_counter() - begin)
+
+    def _answer(self, frame: mocap_frame_t) -> None:
+        if frame.utime <= self._newest:
+            return
+        self._newest = frame.utime
+        estimate = self._tracker.update(frame)
+        path = np.empty((0, 3))
+        state = PlanState.WAITING
+        if estimate is not None and estimate.in_flight:
+            self._bus.publish(channels.BALL_STATE, estimate.to_message())
+            path = self._ball_model.predict(estimate.state, self._steps)[:, :3]
+            state = self._decide(frame.utime, path)
+        elif self._decision is not None:
+            state = PlanState.KEPT
+        self._publish(frame, path, state)
+
+    def _decide(self, utime: int, path: Array) -> PlanState:
+        """Start or update a motion if the table holds one for the predicted path; return the state of the plan."""
+        if self._decision is None:
+            onset = utime + self._lead
+            executed = None
+        elif self._config.update:
+            onset = self._decision.commands.onset_utime
+            executed = Executed(self._decision.theta, (utime + self._lead - onset) * 1e-6)
+        else:
+            return PlanState.KEPT
+        times = self._step_times + (utime - onset) * 1e-6
+        found = self._table.query_path(path, times, executed)
+        if found is None:
+            return PlanState.TRACKING if self._decision is None else PlanState.KEPT
+        if self._decision is None:
+            state = PlanState.STARTED
+        else:
+            state = PlanState.KEPT if found.theta == self._decision.theta else PlanState.UPDATED
+        self._decision = Decision(
+            theta=found.theta,
+            commands=self._template.commands(found.theta, onset),
+            target=found.position,
+            hit_utime=onset + to_microseconds(found.time),
+        )
+        return state
+
+    def _publish(self, frame: mocap_frame_t, path: Array, state: PlanState) -> None:
+        plan = plan_t()
+        plan.utime = frame.utime
+        plan.answered_frame = frame.frame_number
+        plan.state = state
+        plan.prediction_step = self._ball_model.time_step
+        plan.num_predictions = len(path)
+        plan.predicted_position = path.tolist()
+        decision = self._decision
+        if decision is not None:
+            self._sequence += 1
+            self._bus.publish(channels.VALVE_COMMAND, decision.commands.to_message(frame.utime, self._sequence))
+            plan.theta = list(decision.theta)
+            plan.plan_onset_utime = decision.commands.onset_utime
+            plan.hit_utime = decision.hit_utime
+            plan.target_position = decision.target.tolist()
+        self._bus.publish(channels.PLAN, plan)
+
+    def _on_trial(self, event: trial_event_t) -> None:
+        if event.event != EventName.START:
+            return
+        if event.robot != self._table.robot:
+            raise TableFileError(
+                f"the table was learned on robot {self._table.robot!r}, but {event.robot!r} is on the bus; "
+                f"train {event.robot!r} first"
+            )
+        self._reset()
+
+    def _reset(self) -> None:
+        self._tracker.reset()
+        self._decision = None
+        self._newest = -1
+        self._sequence = 0

@@ -1,0 +1,331 @@
+"""The lookup table of learned dynamics: which motion brings the hand where, and when (Sec. IV)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from imolo.errors import ConfigError, ImoloError, TableFileError
+from imolo.method.forward_model import ForwardModel, ForwardModelConfig, TrainingData
+from imolo.method.motion import MotionTemplate, Theta, to_microseconds
+from imolo.method.table_file import read_table_file, write_table_file
+from imolo.method.table_kernel import first_match
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+MAX_CELLS = 20_000_000  # 160 MB of cell starts; the paper's table has some 10^5 cells
+
+
+class GridAxis(BaseModel):
+    """Evenly spaced values from start on, none beyond stop."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    start: float
+    stop: float
+    step: float = Field(gt=0.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.stop < self.start:
+            raise ValueError(f"stop is {self.stop:g}; give at least start, {self.start:g}")
+        return self
+
+    def values(self) -> Array:
+        """Return the values, shape (N,)."""
+        count = int(np.floor((self.stop - self.start) / self.step + 1e-6)) + 1
+        return np.round(self.start + self.step * np.arange(count), 9)
+
+
+class TableGrid(BaseModel):
+    """What is predicted and how finely it is stored; the defaults are those of Sec. VII-B.
+
+    Attributes:
+        t_w: Second parameter of the predicted motions [s].
+        k: First parameter of the predicted motions [-]; 0.0133 does not divide 2, so the last value is 0.995.
+        time_since_swing: t - t_w of the predicted positions [s].
+        spacing: d_grid, interval of the grid points [m]; they lie at its multiples along the world axes.
+        time_tolerance: Δt [s].
+        unique: How many predictions of one grid point are stored (Sec. IV-B2): "voxel", one of them at random as in
+            the paper; "voxel_time", one of each time t at random; "all".
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    t_w: GridAxis = GridAxis(start=0.21, stop=0.41, step=0.002)
+    k: GridAxis = GridAxis(start=-1.0, stop=1.0, step=0.0133)
+    time_since_swing: GridAxis = GridAxis(start=0.14, stop=0.21, step=0.002)
+    spacing: float = Field(default=0.010, gt=0.0)
+    time_tolerance: float = Field(default=0.0083, gt=0.0)
+    unique: Literal["voxel", "voxel_time", "all"] = "voxel"
+
+    def predictions(self) -> tuple[Array, Array]:
+        """Return theta (N, 2): k [-], t_w [s], and time since the onset [s] (N,) of all that is predicted."""
+        t_w, k, since = np.meshgrid(self.t_w.values(), self.k.values(), self.time_since_swing.values(), indexing="ij")
+        return np.column_stack((k.ravel(), t_w.ravel())), np.round(t_w + since, 9).ravel()
+
+
+class Executed(NamedTuple):
+    """The part of a motion that cannot be changed any more (Sec. IV-B3).
+
+    Attributes:
+        theta: Parameter of the motion under way.
+        elapsed: t_e, time since its onset at which new commands can take effect [s]; negative before the onset.
+    """
+
+    theta: Theta
+    elapsed: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableHit:
+    """A tuple of the table that answers a query.
+
+    Attributes:
+        theta: Parameter of the motion.
+        time: t, time since the onset at which the hand is there [s].
+        position: Grid point in the world frame [m], shape (3,).
+        path_index: Which point of the queried path it answers.
+        tuple_index: Its row in the table.
+    """
+
+    theta: Theta
+    time: float
+    position: Array
+    path_index: int
+    tuple_index: int
+
+
+class LookupTable:
+    """The unique tuples (i, t, theta), found by grid point.
+
+    Attributes:
+        grid: How the table was made.
+        template: What theta changes.
+        robot: Name of the robot that the table is for.
+        origin: What made the training data: engine, config hash, seed, versions.
+        forward_model: The regression that predicted the tuples.
+        training: What it was fitted to.
+        position: Grid points in the world frame [m], shape (M, 3), read-only like the next two.
+        time: Time since the onset [s], shape (M,).
+        theta: Motion parameters, shape (M, 2): k [-], t_w [s].
+    """
+
+    def __init__(
+        self,
+        cell: Indices,
+        time: Array,
+        theta: Array,
+        *,
+        grid: TableGrid,
+        template: MotionTemplate,
+        forward_model: ForwardModelConfig,
+        training: TrainingData,
+        robot: str,
+        origin: Mapping[str, Any],
+    ) -> None:
+        """Index tuples by grid point; `build` and `load` call this.
+
+        The arguments are the attributes, but `cell`, shape (M, 3): grid points in multiples of the spacing.
+        """
+        self.grid, self.template, self.robot, self.origin = grid, template, robot, dict(origin)
+        self.forward_model, self.training = forward_model, training
+        lowest = cell.min(axis=0)
+        self._box = np.concatenate((lowest, cell.max(axis=0) - lowest + 1))
+        flat = _flat_index(cell, self._box)
+        order = np.argsort(flat, kind="stable")
+        self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
+        self._cell, self.time, self.theta = cell[order], time[order], theta[order]
+        self.position = self._cell * grid.spacing
+        self._tuples = np.column_stack((self.time, self.theta[:, 0], np.rint(self.theta[:, 1] * 1e6)))
+        for array in (self._cell, self.time, self.theta, self.position):
+            array.flags.writeable = False
+        self.query((0.0, 0.0, 0.0), 0.0)  # compiles the search now rather than in the middle of a throw
+
+    @classmethod
+    def build(
+        cls,
+        model: ForwardModel,
+        grid: TableGrid,
+        rng: np.random.Generator,
+        *,
+        template: MotionTemplate | None = None,
+        robot: str = "liberobot",
+        origin: Mapping[str, Any] | None = None,
+    ) -> Self:
+        """Predict all positions of the grid and keep the unique tuples (Sec. IV-B).
+
+        Args:
+            model: Fitted forward model.
+            grid: What to predict and to keep.
+            rng: Chooses among predictions of the same grid point.
+            template: What theta changes; Table II if not given.
+            robot: Name of the robot.
+            origin: JSON-able description of what made the training data.
+
+        Raises:
+            NotTrainedError: The model has not been fitted.
+            ConfigError: A theta of the grid is not allowed, or the predictions need too many cells.
+        """
+        template = template or MotionTemplate()
+        theta, time = grid.predictions()
+        for extreme in (theta.min(axis=0), theta.max(axis=0)):
+            template.commands(Theta(*extreme.tolist()), onset_utime=0)
+        cell = _nearest_grid_point(model.predict(theta, time), grid.spacing)
+        kept = _choose(cell, time, grid.unique, rng)
+        return cls(
+            cell[kept],
+            time[kept],
+            theta[kept],
+            grid=grid,
+            template=template,
+            forward_model=model.config,
+            training=model.training,
+            robot=robot,
+            origin=origin or {},
+        )
+
+    def __len__(self) -> int:
+        """Return the number of tuples M."""
+        return len(self.time)
+
+    def query(self, position: ArrayLike, time: float, executed: Executed | None = None) -> TableHit | None:
+        """Find the motion that brings the hand to a position in time (Sec. IV-A, Fig. 4c-e).
+
+        Args:
+            position: s_q in the world frame [m], shape (3,).
+            time: When, since the onset [s]: t_q before it, t_q + t_e after it.
+            executed: The motion under way, if any; the answer then continues it.
+
+        Returns:
+            The tuple within half a grid interval and half a time step, the nearest in time; None if there is none.
+        """
+        return self.query_path(np.array(position, dtype=np.float64).reshape(1, -1), np.array((time,)), executed)
+
+    def query_path(self, positions: ArrayLike, times: ArrayLike, executed: Executed | None = None) -> TableHit | None:
+        """Find the first point of a path that a motion reaches in time; each point is a `query`.
+
+        Args:
+            positions: s_q in the world frame [m], shape (N, 3).
+            times: When, since the onset [s], shape (N,).
+            executed: The motion under way, if any; the answer then continues it.
+
+        Raises:
+            ValueError: The shapes disagree.
+        """
+        path = np.ascontiguousarray(positions, dtype=np.float64)
+        when = np.ascontiguousarray(times, dtype=np.float64)
+        if path.shape != (*when.shape, 3):
+            raise ValueError(f"positions have shape {path.shape}, times {when.shape}; give (N, 3) and (N,)")
+        executed_k, executed_switch, elapsed = np.nan, np.nan, -1.0
+        if executed is not None:
+            (k, t_w), elapsed_time = executed
+            executed_switch, elapsed = to_microseconds(t_w), to_microseconds(elapsed_time)
+            if elapsed > to_microseconds(self.template.changed_phase_start(t_w)):
+                executed_k = k
+        point, row = first_match(
+            path,
+            when,
+            self._cell_start,
+            self._box,
+            self._tuples,
+            self.grid.spacing,
+            self.grid.time_tolerance,
+            float(executed_k),
+            float(executed_switch),
+            float(elapsed),
+        )
+        if row < 0:
+            return None
+        return TableHit(Theta(*self.theta[row].tolist()), float(self.time[row]), self.position[row], point, row)
+
+    def refit(self) -> ForwardModel:
+        """Return the forward model, fitted again to the stored training data."""
+        training = self.training
+        return ForwardModel(self.forward_model).fit(training.theta, training.time, training.position)
+
+    def save(self, path: Path) -> None:
+        """Write table, training data and configuration to one file.
+
+        Raises:
+            TableFileError: The file cannot be written.
+        """
+        header = {
+            "robot": self.robot,
+            "origin": self.origin,
+            "grid": self.grid.model_dump(),
+            "template": self.template.model_dump(),
+            "forward_model": self.forward_model.model_dump(),
+        }
+        arrays: dict[str, NDArray[Any]] = {"cell": self._cell, "time": self.time, "theta": self.theta}
+        for name in ("theta", "time", "position"):
+            arrays[f"training_{name}"] = getattr(self.training, name)
+        write_table_file(path, header, arrays)
+
+    @classmethod
+    def load(cls, path: Path, robot: str | None = None) -> Self:
+        """Read a table.
+
+        Args:
+            path: File that `save` wrote.
+            robot: The robot it must be for; any if not given.
+
+        Raises:
+            TableFileError: The file is damaged, foreign, of a newer version or for another robot.
+        """
+        header, arrays = read_table_file(path)
+        try:
+            if robot is not None and header["robot"] != robot:
+                raise TableFileError(
+                    f"table file {path} is for robot {header['robot']!r}, not {robot!r}; train {robot!r} first"
+                )
+            return cls(
+                arrays["cell"],
+                arrays["time"],
+                arrays["theta"],
+                grid=TableGrid.model_validate(header["grid"]),
+                template=MotionTemplate.model_validate(header["template"]),
+                forward_model=ForwardModelConfig.model_validate(header["forward_model"]),
+                training=TrainingData(*(arrays[f"training_{name}"] for name in ("theta", "time", "position"))),
+                robot=header["robot"],
+                origin=header["origin"],
+            )
+        except (LookupError, TypeError, ValueError, ImoloError) as error:
+            if isinstance(error, TableFileError):
+                raise
+            raise TableFileError(f"table file {path} does not fit this imolo ({error}); build it again") from error
+
+
+def _nearest_grid_point(position: Array, spacing: float) -> Indices:
+    nearest = np.floor(position / spacing + 0.5)
+    extent = np.ptp(nearest, axis=0) + 1.0
+    if not (np.abs(nearest).max() < 2**31 and np.prod(extent) <= MAX_CELLS):
+        raise ConfigError(
+            f"the predicted hand positions span {' x '.join(f'{side * spacing:.3g}' for side in extent)} m; give a "
+            f"spacing above {spacing:g} m or a forward model that does not diverge"
+        )
+    return nearest.astype(np.int64)
+
+
+def _flat_index(cell: Indices, box: Indices) -> Indices:
+    x, y, z = (cell - box[:3]).T
+    flat: Indices = (x * box[4] + y) * box[5] + z
+    return flat
+
+
+def _choose(cell: Indices, time: Array, unique: str, rng: np.random.Generator) -> NDArray[np.intp]:
+    if unique == "all":
+        return np.arange(len(time))
+    lowest = cell.min(axis=0)
+    key = _flat_index(cell, np.concatenate((lowest, cell.max(axis=0) - lowest + 1)))
+    if unique == "voxel_time":
+        utime = np.rint(time * 1e6).astype(np.int64)
+        key = key * (np.ptp(utime) + 1) + (utime - utime.min())
+    shuffled = rng.permutation(len(key))
+    _, first = np.unique(key[shuffled], return_index=True)
+    return np.sort(shuffled[first])

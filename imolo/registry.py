@@ -1,0 +1,64 @@
+"""Which backends are installed: the entry points of the group `imolo.backends`, our own and those of others."""
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+
+from imolo.backend import BackendPlugin
+from imolo.errors import BackendNotFoundError, did_you_mean
+
+GROUP = "imolo.backends"
+
+
+@dataclass(frozen=True)
+class BackendStatus:
+    """Whether a backend can be used here.
+
+    Attributes:
+        name: Its public name.
+        plugin: What it provides; None where something is missing.
+        problem: What is missing and how to get it; empty where nothing is.
+    """
+
+    name: str
+    plugin: BackendPlugin | None
+    problem: str
+
+
+def backend_names() -> list[str]:
+    """Return the names of all registered backends, usable or not, in alphabetical order."""
+    return sorted(entry_points(group=GROUP).names)
+
+
+def backend_status(name: str) -> BackendStatus:
+    """Load a backend and say whether it can be used.
+
+    Raises:
+        BackendNotFoundError: No backend of that name is registered.
+    """
+    if name not in backend_names():
+        raise BackendNotFoundError(
+            f"unknown backend {name!r}{did_you_mean(name, backend_names())}; registered: {', '.join(backend_names())}"
+        )
+    entry_point = entry_points(group=GROUP)[name]
+    try:
+        return BackendStatus(name, entry_point.load(), "")
+    except ImportError as error:
+        return BackendStatus(name, None, _how_to_install(entry_point, error))
+
+
+def load_backend(name: str) -> BackendPlugin:
+    """Return the plugin of a backend.
+
+    Raises:
+        BackendNotFoundError: It is not registered, or what it needs is not installed.
+    """
+    status = backend_status(name)
+    if status.plugin is None:
+        raise BackendNotFoundError(f"backend {name!r} cannot be used: {status.problem}")
+    return status.plugin
+
+
+def _how_to_install(entry_point: EntryPoint, error: ImportError) -> str:
+    distribution = entry_point.dist.name if entry_point.dist else "imolo"
+    # An optional dependency carries the name of the backend it brings.
+    return f"{error}; install it with: pip install '{distribution}[{entry_point.name}]'"

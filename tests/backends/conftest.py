@@ -1,0 +1,43 @@
+"""The engines under test. A missing one fails; a skipped test would let the matrix shrink unseen."""
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from imolo_backends.engine import Engine, Scene
+
+ENGINES = {
+    "mujoco": ("imolo_backends.mujoco_engine", "MujocoEngine", "MujocoOptions"),
+    "pybullet": ("imolo_backends.pybullet_engine", "PybulletEngine", "PybulletOptions"),
+    "dart": ("imolo_backends.dart_engine", "DartEngine", "DartOptions"),
+}
+
+MakeEngine = Callable[..., Engine]
+
+
+@pytest.fixture(params=ENGINES)
+def engine_name(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+@pytest.fixture
+def engine_module(engine_name: str) -> ModuleType:
+    return import_module(ENGINES[engine_name][0])
+
+
+@pytest.fixture
+def make_engine(engine_name: str, engine_module: ModuleType) -> Iterator[MakeEngine]:
+    _, engine, options = ENGINES[engine_name]
+    made: list[Engine] = []
+
+    def make(scene: Scene, **chosen: Any) -> Engine:
+        made.append(getattr(engine_module, engine)(scene, getattr(engine_module, options)(**chosen)))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
