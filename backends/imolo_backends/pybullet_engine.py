@@ -1,7 +1,6 @@
 """PyBullet as an `Engine`."""
 
 import numpy as np
-import pybullet
 from pydantic import PositiveInt
 
 from imolo.config.model import Fraction, Model, NonNegative
@@ -17,8 +16,11 @@ from imolo_backends.engine_checks import (
     rotation_matrices,
     turned_inertia,
 )
+from imolo_backends.quiet_import import import_quietly
 from imolo_backends.simulated import simulated_plugin
 from imolo_backends.urdf import RobotModel, read_urdf
+
+pybullet = import_quietly("pybullet")  # it prints its build time
 
 BASE = -1
 # [-] Bullet multiplies the restitutions of two bodies. With this on everything but the ball, and its inverse times the

@@ -8,7 +8,7 @@ import numpy as np
 from imolo.ball.fit import fit_ball_model
 from imolo.ball.model import LinearBallModel
 from imolo.config.experiment import ExperimentConfig, MethodConfig
-from imolo.experiment.recordings import ball_flight, hand_samples, merge, throw_tracker
+from imolo.experiment.recordings import ball_flight, hand_samples, merge
 from imolo.log import read_log
 from imolo.method.forward_model import ForwardModel, TrainingData
 from imolo.method.table import LookupTable
@@ -20,8 +20,7 @@ def learn_ball(config: ExperimentConfig, logs: Sequence[Path]) -> LinearBallMode
     Raises:
         TrainingDataError: There are too few throws, or one shows no flight.
     """
-    tracker = throw_tracker(config.tracker, config.ball_model.time_step)
-    return fit_ball_model([ball_flight(read_log(path), tracker) for path in logs], config.ball_model)
+    return fit_ball_model([ball_flight(read_log(path)) for path in logs], config.ball_model)
 
 
 def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingData:

@@ -6,8 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from imolo import channels
 from imolo.ball.flight import Flight, free_flight
-from imolo.ball.model import LinearBallModel
-from imolo.ball.tracker import UNLABELLED, BallTracker, BallTrackerConfig
+from imolo.ball.tracker import UNLABELLED
 from imolo.config.experiment import RobotConfig, TrainingConfig
 from imolo.errors import TrainingDataError
 from imolo.log import Log
@@ -16,6 +15,8 @@ from imolo_msgs import mocap_frame_t, plan_t
 
 Array = NDArray[np.float64]
 
+LINK_SPEED = 12.0  # [m/s] a marker may be this much faster or slower than it was, as when it is thrown or bounces
+LINK_TIME = 0.05  # [s] longest gap in a track
 SPLINE_REACH = 0.1  # [s] of a marker's track on both sides that is interpolated
 
 
@@ -84,30 +85,47 @@ def merge(samples: list[TrainingData]) -> TrainingData:
     )
 
 
-def ball_flight(log: Log, throw_tracker: BallTracker) -> Flight:
+def ball_flight(log: Log) -> Flight:
     """Return the free flight of the ball that a log shows, as measured.
-
-    Args:
-        log: Of a throw.
-        throw_tracker: Follows the ball from frame to frame; only its choice of the marker is used.
 
     Raises:
         TrainingDataError: The log shows no flight.
     """
-    throw_tracker.reset()
-    times, positions = [], []
-    for frame in log.messages[channels.MOCAP]:
-        estimate = throw_tracker.update(frame)
-        if estimate is None or not estimate.in_flight:
-            continue
-        measured = nearest_unlabelled(frame, estimate.state[:3])
-        if measured is not None:
-            times.append(frame.utime * 1e-6)
-            positions.append(measured)
     try:
-        return free_flight(np.array(times), np.array(positions).reshape(-1, 3))
+        return free_flight(*longest_unlabelled_track(log))
     except TrainingDataError as error:
         raise TrainingDataError(f"{log.path}: {error}") from error
+
+
+def longest_unlabelled_track(log: Log) -> tuple[Array, Array]:
+    """Follow every unlabelled marker from frame to frame and return the one that goes furthest.
+
+    It needs no model of the ball, since it serves to learn one: a marker goes on where it would be at constant
+    velocity.
+
+    Returns:
+        Time [s], shape (N,), and position [m], shape (N, 3); empty if there is no unlabelled marker.
+    """
+    tracks: list[tuple[list[float], list[Array]]] = []
+    for frame in log.messages[channels.MOCAP]:
+        time = frame.utime * 1e-6
+        unclaimed = [np.array(m.marker_position) for m in frame.markers if m.marker_id == UNLABELLED]
+        for times, positions in sorted(tracks, key=lambda track: -len(track[0])):
+            gap = time - times[-1]
+            if not unclaimed or gap > LINK_TIME:
+                continue
+            expected = positions[-1]
+            if len(times) > 1:
+                expected = expected + (positions[-1] - positions[-2]) * gap / (times[-1] - times[-2])
+            distances = [float(np.linalg.norm(position - expected)) for position in unclaimed]
+            if min(distances) <= LINK_SPEED * gap:
+                times.append(time)
+                positions.append(unclaimed.pop(int(np.argmin(distances))))
+        tracks += [([time], [position]) for position in unclaimed]
+    if not tracks:
+        return np.empty(0), np.empty((0, 3))
+    times, positions = max(tracks, key=lambda track: float(np.linalg.norm(np.ptp(track[1], axis=0))))
+    return np.array(times), np.array(positions)
 
 
 def nearest_unlabelled(frame: mocap_frame_t, position: Array, within: float = 0.05) -> Array | None:
@@ -117,17 +135,3 @@ def nearest_unlabelled(frame: mocap_frame_t, position: Array, within: float = 0.
     if not len(distances) or not distances.min() <= within:
         return None
     return np.asarray(candidates[distances.argmin()])
-
-
-def throw_tracker(config: BallTrackerConfig, time_step: float) -> BallTracker:
-    """Return a tracker that knows nothing of the ball but gravity, to find the throws a model is learned from.
-
-    Its model leaves room for any drag: a white acceleration of 5 m²/s³ lets the filter follow a steady 8 m/s².
-    """
-    A = np.eye(6)
-    A[:3, 3:] = time_step * np.eye(3)
-    B = np.array([0.0, 0.0, -0.5 * 9.81 * time_step**2, 0.0, 0.0, -9.81 * time_step])
-    ballistic = LinearBallModel(
-        A=A, B=B, time_step=time_step, acceleration_density=5.0, measurement_std=np.full(3, 0.005)
-    )
-    return BallTracker(ballistic, config)

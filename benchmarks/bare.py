@@ -1,0 +1,129 @@
+"""The loop one would write without us: an engine's own interface, stepped with what a trial applied."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from unittest import mock
+
+import mujoco  # noqa: TID251 - this is what the engine's module is measured against
+import numpy as np
+import pybullet  # noqa: TID251
+
+from imolo.config.model import Model
+from imolo_backends.dart_engine import DartEngine
+from imolo_backends.engine import Array, Engine, Scene
+from imolo_backends.mujoco_engine import MujocoEngine
+from imolo_backends.pybullet_engine import PybulletEngine
+
+ENGINES: dict[str, type[Any]] = {"mujoco": MujocoEngine, "pybullet": PybulletEngine, "dart": DartEngine}
+
+
+@dataclass
+class Recording:
+    """What a trial did to its engine, step by step, and where that led.
+
+    Attributes:
+        engine_class: The engine.
+        scene: How it started.
+        options: The engine's own.
+        joint_torque: Torques of each step [N·m], each of shape (J,).
+        ball_force: Force on the ball in each step [N], each of shape (3,).
+        last_motion: Joint angles [rad], joint velocities [rad/s] and ball velocity [m/s] after the last step.
+    """
+
+    engine_class: type[Any]
+    scene: Scene = field(init=False)
+    options: Model = field(init=False)
+    joint_torque: list[Array] = field(default_factory=list)
+    ball_force: list[Array] = field(default_factory=list)
+    last_motion: tuple[Array, ...] = ()
+
+    def replay(self, clock: Callable[[], float]) -> float:
+        """Return how long the bare loop takes [s].
+
+        Raises:
+            RuntimeError: It does not end where the trial ended.
+        """
+        engine = self.engine_class(self.scene, self.options)
+        loop = BARE_LOOPS[self.engine_class](engine, np.array(self.joint_torque), np.array(self.ball_force))
+        begin = clock()
+        loop()
+        elapsed = clock() - begin
+        if not all(map(np.array_equal, engine.motion(), self.last_motion)):
+            raise RuntimeError(f"the bare loop of {self.engine_class.__name__} went another way than the trial")
+        engine.close()
+        return elapsed
+
+
+@contextmanager
+def recording(engine_class: type[Any]) -> Iterator[Recording]:
+    """Record the trial that is run meanwhile."""
+    made = Recording(engine_class)
+    create, step = engine_class.__init__, engine_class.step
+
+    def spy_create(self: Engine, scene: Scene, options: Model) -> None:
+        made.scene, made.options = scene, options
+        create(self, scene, options)
+
+    def spy_step(self: Engine, joint_torque: Array, ball_force: Array) -> None:
+        made.joint_torque.append(joint_torque.copy())
+        made.ball_force.append(ball_force.copy())
+        step(self, joint_torque, ball_force)
+        made.last_motion = tuple(part.copy() for part in self.motion())
+
+    with mock.patch.multiple(engine_class, __init__=spy_create, step=spy_step):
+        yield made
+
+
+def _mujoco_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    model, data = engine._model, engine._data
+    torque = data.qfrc_applied[engine._velocity_index]
+    ball = engine._ball_force
+
+    def loop() -> None:
+        for torques, force in zip(joint_torque, ball_force, strict=True):
+            torque[:] = torques
+            ball[:] = force
+            mujoco.mj_step(model, data)
+
+    return loop
+
+
+def _pybullet_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    client, robot, ball, joints = engine._client, engine._robot, engine._ball, engine._joints
+    torque_lists, force_lists = joint_torque.tolist(), ball_force.tolist()
+
+    def loop() -> None:
+        for torques, force in zip(torque_lists, force_lists, strict=True):
+            pybullet.setJointMotorControlArray(
+                robot, joints, pybullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
+            )
+            # A force in world axes needs its point in world axes.
+            center, _ = pybullet.getBasePositionAndOrientation(ball, client)
+            pybullet.applyExternalForce(ball, -1, force, center, pybullet.WORLD_FRAME, client)
+            pybullet.stepSimulation(client)
+
+    return loop
+
+
+def _dart_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    world, robot, ball = engine._world, engine._robot, engine._ball_body
+    forces = np.zeros((len(joint_torque), robot.getNumDofs()))
+    forces[:, engine._joint_index] = joint_torque
+    center = np.zeros(3)
+
+    def loop() -> None:
+        for torques, force in zip(forces, ball_force, strict=True):
+            robot.setForces(torques)
+            ball.addExtForce(force, center, False, True)
+            world.step()
+
+    return loop
+
+
+BARE_LOOPS: dict[type[Any], Callable[[Any, Array, Array], Callable[[], None]]] = {
+    MujocoEngine: _mujoco_loop,
+    PybulletEngine: _pybullet_loop,
+    DartEngine: _dart_loop,
+}

@@ -1,0 +1,78 @@
+"""What everything around an engine costs: a whole trial beside the engine alone on the same way."""
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bare import ENGINES, recording
+from benchmarks.measurement import Measurement
+from imolo import channels
+from imolo.backend import EventName, Trial, TrialKind
+from imolo.bus import Bus
+from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.experiment.trial import run_trial
+from imolo.method.motion import MotionTemplate, Theta
+from imolo_msgs import mocap_frame_t, trial_event_t
+
+TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3}
+REPEATS = 7
+DURATION = 1.1  # [s] a throw, as long as the ball flies
+MOTION, ONSET = Theta(k=0.06, t_w=0.28), 0.5  # [s] the robot waits as long as for a real ball
+
+# Of this process, since other programs share the machine.
+clock = time.process_time
+
+
+class TimedMotion:
+    """Commands one motion in every frame, as a planner does, and measures from the trial's start to its end."""
+
+    def __init__(self) -> None:
+        self._commands = MotionTemplate().commands(MOTION, round(ONSET * 1e6))
+        self.elapsed = 0.0
+
+    def attach(self, bus: Bus) -> None:
+        """Join the bus."""
+        self._bus = bus
+        bus.subscribe(channels.TRIAL, self._on_trial)
+        bus.subscribe(channels.MOCAP, self._on_frame)
+
+    def _on_trial(self, event: trial_event_t) -> None:
+        if event.event == EventName.START:
+            self._begin = clock()
+        elif event.event == EventName.END:
+            self.elapsed = clock() - self._begin
+
+    def _on_frame(self, frame: mocap_frame_t) -> None:
+        message = self._commands.to_message(frame.utime, frame.frame_number)
+        self._bus.publish(channels.VALVE_COMMAND, message)
+
+
+def run(engine: str) -> list[Measurement]:
+    """Run a throw at which the robot jumps, again and again, and the engine alone in between.
+
+    Raises:
+        RuntimeError: The two do not do the same.
+    """
+    config = ExperimentConfig(backend=BackendConfig(name=engine))
+    with tempfile.TemporaryDirectory() as folder:
+        log_path = Path(folder) / "trial.lcmlog"
+        with recording(ENGINES[engine]) as recorded:
+            run_timed(config, log_path)
+        times = np.array([(run_timed(config, log_path), recorded.replay(clock)) for _ in range(REPEATS)])
+    whole, alone = 1e6 * np.median(times, axis=0) / len(recorded.joint_torque)
+    ratio = float(np.median(times[:, 0] / times[:, 1]))
+    subject = f"loop, {engine}"
+    return [
+        Measurement(subject, "whole step", float(whole), "µs"),
+        Measurement(subject, "engine alone", float(alone), "µs"),
+        Measurement(subject, "ratio", ratio, "", TARGETS[engine]),
+    ]
+
+
+def run_timed(config: ExperimentConfig, log_path: Path) -> float:
+    """Return how long a trial takes once everything is loaded [s]."""
+    controller = TimedMotion()
+    run_trial(config, Trial(TrialKind.HIT, 0, config.seed), controller, log_path, DURATION)
+    return controller.elapsed
