@@ -1,8 +1,5 @@
 """PyBullet as an `Engine`."""
 
-import io
-from contextlib import redirect_stderr
-
 import numpy as np
 from pydantic import PositiveInt
 
@@ -19,11 +16,11 @@ from imolo_backends.engine_checks import (
     rotation_matrices,
     turned_inertia,
 )
+from imolo_backends.quiet_import import import_quietly
 from imolo_backends.simulated import simulated_plugin
 from imolo_backends.urdf import RobotModel, read_urdf
 
-with redirect_stderr(io.StringIO()):  # it prints its build time
-    import pybullet
+pybullet = import_quietly("pybullet")  # it prints its build time
 
 BASE = -1
 # [-] Bullet multiplies the restitutions of two bodies. With this on everything but the ball, and its inverse times the
