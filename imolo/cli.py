@@ -5,16 +5,18 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
-from imolo.errors import BackendNotFoundError, ImoloError
-from imolo.registry import backend_names, backend_status
+from imolo.errors import BackendNotFoundError, ConfigError, ImoloError, did_you_mean
+
+# The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
+if TYPE_CHECKING:
+    from imolo.config.experiment import ExperimentConfig
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -31,6 +33,7 @@ ConfigPaths = Annotated[
     list[Path] | None,
     typer.Argument(help="One YAML per backend, alike but for the backend [default: every backend that is ready]."),
 ]
+ConfigPath = Annotated[Path, typer.Argument(help="YAML of the backend and everything around it, see configs/.")]
 Out = Annotated[Path, typer.Option(help="Results folder.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the seed of the configs.")]
 Balls = Annotated[int | None, typer.Option(min=1, help="Replaces the number of balls of the configs.")]
@@ -42,6 +45,8 @@ CORES = os.cpu_count() or 1
 @app.command()
 def backends() -> None:
     """List the backends that are installed, and what is missing for the others."""
+    from imolo.registry import backend_names, backend_status
+
     table = Table(box=None, pad_edge=False)
     for title in ("backend", "state", "about"):
         table.add_column(title)
@@ -64,31 +69,73 @@ def compare(
 ) -> None:
     """Learn the motions, throw balls and hit them on every backend, then compare.
 
-    Writes logs, tables, resolved configs, figures and summary.json to the results folder.
+    Writes logs, tables, resolved configs, figures, summary.json and timing.json to the results folder.
     """
-    from imolo.experiment.comparison import ResultsFolder
-    from imolo.experiment.comparison import compare as run_comparison
-    from imolo.experiment.figures import draw_all
-    from imolo.experiment.summary import render
+    from imolo.experiment import comparison, figures, summary
+    from imolo.experiment.results import ResultsFolder
 
     chosen = [_override(config, seed, balls) for config in _load_all(configs)]
     folder = ResultsFolder(out)
-    try:
-        with _Bars() as bars:
-            comparison = run_comparison(chosen, folder, jobs, bars.show)
-    except KeyboardInterrupt:
-        logs = len(list(out.rglob("*.lcmlog")))
-        errors.print(f"interrupted; the {logs} logs recorded so far are kept in {out}")
-        raise typer.Exit(130) from None
-    console.print(render(comparison))
-    draw_all(comparison, chosen, folder)
-    console.print(f"logs, tables, configs, figures and summary.json are in {out}")
+    with _Bars(out) as bars:
+        result, timings = comparison.compare(chosen, folder, jobs, bars.show)
+    console.print(summary.render_comparison(result, timings.timing))
+    figures.draw_all(result, chosen, folder)
+    console.print(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
+
+
+@app.command()
+def learn(config: ConfigPath, out: Out = Path("results/learn"), seed: Seed = None, jobs: Jobs = CORES) -> None:
+    """Learn balls and motions on one backend and build the table of each method."""
+    from imolo.config.experiment import load_config
+    from imolo.experiment import comparison
+    from imolo.experiment.results import ResultsFolder
+
+    chosen = _override(load_config(config), seed, None)
+    folder = ResultsFolder(out)
+    with _Bars(out) as bars:
+        comparison.learn([chosen], folder, jobs, bars.show)
+    for method in chosen.methods:
+        console.print(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
+
+
+@app.command()
+def hit(
+    config: ConfigPath,
+    table: Annotated[Path, typer.Argument(help="Table that `imolo learn` or `imolo compare` wrote, on any backend.")],
+    method: Annotated[str, typer.Option(help="Method of the config whose planner is used.")] = "improved",
+    out: Out = Path("results/hit"),
+    seed: Seed = None,
+    balls: Balls = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Throw balls on one backend and hit them with a table, perhaps learned on another backend."""
+    from imolo.config.experiment import load_config
+    from imolo.experiment import comparison, summary
+    from imolo.experiment.results import ResultsFolder
+    from imolo.method.table import LookupTable
+
+    chosen = _override(load_config(config), seed, balls)
+    if method not in chosen.methods:
+        raise ConfigError(
+            f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
+        )
+    LookupTable.load(table, chosen.robot.name)
+    folder = ResultsFolder(out)
+    folder.prepare()
+    folder.save_config(chosen)
+    name = chosen.backend.name
+    with _Bars(out) as bars:
+        results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
+    folder.save_json("summary.json", results[name][method])
+    console.print(summary.render_results(results, timing))
+    console.print(f"logs, config and summary.json are in {out}")
 
 
 class _Bars:
-    """One progress bar for every backend and stage."""
+    """Progress bars, one for each thing under way; Ctrl-C ends in one line that says what is kept."""
 
-    def __init__(self) -> None:
+    def __init__(self, out: Path) -> None:
+        self._out = out
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console
         )
@@ -98,18 +145,24 @@ class _Bars:
         self._progress.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._progress.stop()
+        if kind is KeyboardInterrupt:
+            logs = len(list(self._out.rglob("*.lcmlog")))
+            errors.print(f"imolo: interrupted; the {logs} logs recorded so far are kept in {self._out}")
+            raise typer.Exit(130)
 
-    def show(self, backend: str, stage: str, done: int, total: int) -> None:
-        """Show how far a stage is."""
-        name = f"{backend}: {stage}"
-        if name not in self._tasks:
-            self._tasks[name] = self._progress.add_task(name, total=total)
-        self._progress.update(self._tasks[name], completed=done)
+    def show(self, what: str, done: int, total: int) -> None:
+        """Show how far something is."""
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=total)
+        self._progress.update(self._tasks[what], completed=done)
 
 
-def _load_all(paths: Sequence[Path] | None) -> list[ExperimentConfig]:
+def _load_all(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
+    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.registry import backend_names, backend_status
+
     if paths:
         return [load_config(path) for path in paths]
     ready = [name for name in backend_names() if backend_status(name).plugin is not None]
@@ -118,7 +171,7 @@ def _load_all(paths: Sequence[Path] | None) -> list[ExperimentConfig]:
     return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready]
 
 
-def _override(config: ExperimentConfig, seed: int | None, balls: int | None) -> ExperimentConfig:
+def _override(config: "ExperimentConfig", seed: int | None, balls: int | None) -> "ExperimentConfig":
     changes: dict[str, object] = {}
     if seed is not None:
         changes["seed"] = seed

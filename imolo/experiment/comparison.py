@@ -1,38 +1,37 @@
 """The comparison: the same motions, balls and methods on several backends (Sec. VII, for each of them)."""
 
-import itertools
-import json
-import platform
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from itertools import combinations, zip_longest
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
-import yaml
 from joblib import Parallel, delayed
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from threadpoolctl import threadpool_limits
 
 from imolo.backend import TrialKind
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import ConfigError, ResultsError
+from imolo.errors import ConfigError
 from imolo.experiment.campaign import TrialTask, TrialTiming, hit_tasks, learning_tasks, run_tasks
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
 from imolo.experiment.metrics import MethodResult, Statistic, judge_campaign, judge_trial
 from imolo.experiment.recordings import hand_at, last_plan
+from imolo.experiment.results import ResultsFolder, installed_versions
 from imolo.log import read_log
 
-PACKAGES = ("imolo", "lcm", "numpy", "scipy", "scikit-learn", "filterpy", "numba", "mujoco-core", "pybullet", "dartpy")
+Array = NDArray[np.float64]
+Group = TypeVar("Group", bound=Hashable)
+
 AGREEMENT_TIME = 0.17  # [s] after t_w, in the middle of the samples of Sec. VII-B
 
-Progress = Callable[[str, str, int, int], None]
-"""Told backend, stage, trials done and trials in all."""
+Progress = Callable[[str, int, int], None]
+"""Told what is under way, how much of it is done, and how much there is."""
 
 
 class Timing(BaseModel):
-    """How fast it went on this machine; the only numbers that differ between two runs with the same seed.
+    """How fast it went on this machine.
 
     Attributes:
         decision_median: Of a planner decision, mocap message in, command out [s].
@@ -47,17 +46,24 @@ class Timing(BaseModel):
     real_time_factor: float
 
 
+class Timings(BaseModel):
+    """How fast it went, by backend, then by method: all that differs between two runs with the same seed."""
+
+    model_config = ConfigDict(frozen=True)
+
+    timing: dict[str, dict[str, Timing]]
+
+
 class Comparison(BaseModel):
-    """All results of a comparison.
+    """All results of a comparison; the same seed gives the same numbers to the last digit.
 
     Attributes:
         seed: Of all chance.
         versions: Of Python and the packages that were used.
         configs: Hash of the resolved config by backend; the configs lie beside the summary.
         results: By backend, then by method.
-        disagreement: Mean distance between the hands of two backends for the same command, `AGREEMENT_TIME` after
-            t_w, over the training motions [m]; by "a - b".
-        timing: By backend, then by method.
+        disagreement: Distance between the hands of two backends for the same command, `AGREEMENT_TIME` after t_w,
+            over the training motions [m]; by "a - b".
     """
 
     model_config = ConfigDict(frozen=True)
@@ -67,62 +73,19 @@ class Comparison(BaseModel):
     configs: dict[str, str]
     results: dict[str, dict[str, MethodResult]]
     disagreement: dict[str, Statistic]
-    timing: dict[str, dict[str, Timing]]
 
 
-@dataclass(frozen=True)
-class ResultsFolder:
-    """Where everything of one comparison lies."""
-
-    path: Path
-
-    def prepare(self) -> None:
-        """Create the folder.
-
-        Raises:
-            ResultsError: It cannot be written.
-        """
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            probe = self.path / ".writable"
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise ResultsError(
-                f"cannot write results to {self.path}: {error.strerror}; choose another --out"
-            ) from error
-
-    def learning(self, backend: str) -> Path:
-        """Return the folder of the logs that a backend learns from."""
-        return self.path / "logs" / backend / "learning"
-
-    def hits(self, backend: str, method: str) -> Path:
-        """Return the folder of the logs of one method's balls."""
-        return self.path / "logs" / backend / method
-
-    def table(self, backend: str, method: str) -> Path:
-        """Return the table file of one method."""
-        return self.path / "tables" / f"{backend}_{method}.npz"
-
-    @property
-    def summary(self) -> Path:
-        """Return the file of all numbers."""
-        return self.path / "summary.json"
-
-    @property
-    def figures(self) -> Path:
-        """Return the folder of the figures."""
-        return self.path / "figures"
+def _no_progress(what: str, done: int, total: int) -> None: ...
 
 
 def compare(
-    configs: Sequence[ExperimentConfig], folder: ResultsFolder, jobs: int, progress: Progress = lambda *_: None
-) -> Comparison:
+    configs: Sequence[ExperimentConfig], folder: ResultsFolder, jobs: int, progress: Progress = _no_progress
+) -> tuple[Comparison, Timings]:
     """Learn, build tables, throw balls and judge, on every backend.
 
     Args:
         configs: One per backend, alike but for the backend.
-        folder: Where to write logs, tables, configs and the summary.
+        folder: Where to write logs, tables, configs, summary.json and timing.json.
         jobs: Number of processes.
         progress: Told what is done.
 
@@ -132,76 +95,104 @@ def compare(
     named = {config.backend.name: config for config in configs}
     if len(named) != len(configs):
         raise ConfigError(f"a backend is named twice: {', '.join(config.backend.name for config in configs)}")
-    folder.prepare()
-    for name, config in named.items():
-        _save_config(config, folder.path / "configs" / f"{name}.yaml")
-    learning = {name: learning_tasks(config, folder.learning(name)) for name, config in named.items()}
-    _run_all(learning, "learning", jobs, progress)
-    _learn_all(named, learning, folder, jobs, progress)
-    hitting = {
-        f"{name} {method}": hit_tasks(config, folder.hits(name, method), method, folder.table(name, method))
-        for name, config in named.items()
-        for method in config.methods
-    }
-    timings = _run_all(hitting, "balls", jobs, progress)
+    disagreement = learn(configs, folder, jobs, progress)
+    tables = {(name, method): folder.table(name, method) for name, config in named.items() for method in config.methods}
+    results, timing = hit(named, tables, folder, jobs, progress)
     comparison = Comparison(
         seed=configs[0].seed,
-        versions=_versions(),
+        versions=installed_versions(),
         configs={name: config.digest() for name, config in named.items()},
-        results={
-            name: {
-                method: judge_campaign([judge_trial(read_log(t.log_path), config) for t in hitting[f"{name} {method}"]])
-                for method in config.methods
-            }
-            for name, config in named.items()
-        },
-        disagreement=_disagreement(learning),
-        timing={
-            name: {method: _timing(timings[f"{name} {method}"]) for method in config.methods}
-            for name, config in named.items()
-        },
+        results=results,
+        disagreement=disagreement,
     )
-    folder.summary.write_text(json.dumps(comparison.model_dump(), indent=1) + "\n", encoding="utf-8")
-    return comparison
+    timings = Timings(timing=timing)
+    folder.save_json("summary.json", comparison)
+    folder.save_json("timing.json", timings)
+    return comparison, timings
 
 
-def _run_all(
-    groups: Mapping[str, Sequence[TrialTask]], stage: str, jobs: int, progress: Progress
-) -> dict[str, list[TrialTiming]]:
-    """Run the tasks of all groups together, so that no core waits for the slowest backend."""
-    owner = {id(task): name for name, tasks in groups.items() for task in tasks}
-    done = dict.fromkeys(groups, 0)
-    for name, tasks in groups.items():
-        progress(name, stage, 0, len(tasks))
+def learn(
+    configs: Sequence[ExperimentConfig], folder: ResultsFolder, jobs: int, progress: Progress = _no_progress
+) -> dict[str, Statistic]:
+    """Run the learning trials of every backend and build the table of each of its methods.
 
-    def count(task: TrialTask) -> None:
-        name = owner[id(task)]
-        done[name] += 1
-        progress(name, stage, done[name], len(groups[name]))
+    Returns:
+        How far the hands of two backends are apart for the same command, see `Comparison.disagreement`.
 
-    # Turn by turn through the groups, the longest first within each.
-    ordered = [task for turn in itertools.zip_longest(*groups.values()) for task in turn if task is not None]
-    timings = dict(zip(map(id, ordered), run_tasks(ordered, jobs, count), strict=True))
-    return {name: [timings[id(task)] for task in tasks] for name, tasks in groups.items()}
+    Raises:
+        ImoloError: Something failed; what was recorded until then stays.
+    """
+    folder.prepare()
+    for config in configs:
+        folder.save_config(config)
+    tasks = {config.backend.name: learning_tasks(config, folder.learning(config.backend.name)) for config in configs}
+    _run_groups(tasks, lambda name: f"{name}: learning trials", jobs, progress)
+    for config in configs:
+        progress(f"{config.backend.name}: tables", 0, 1)
+    built = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
+        delayed(_build_tables)(config, tasks[config.backend.name], folder) for config in configs
+    )
+    for name in built:
+        progress(f"{name}: tables", 1, 1)
+    return _disagreement(tasks)
 
 
-def _learn_all(
+def hit(
     named: Mapping[str, ExperimentConfig],
-    learning: Mapping[str, Sequence[TrialTask]],
+    tables: Mapping[tuple[str, str], Path],
     folder: ResultsFolder,
     jobs: int,
-    progress: Progress,
-) -> None:
-    for name in named:
-        progress(name, "tables", 0, 1)
-    ended = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-        delayed(_learn)(config, learning[name], folder) for name, config in named.items()
-    )
-    for name in ended:
-        progress(name, "tables", 1, 1)
+    progress: Progress = _no_progress,
+) -> tuple[dict[str, dict[str, MethodResult]], dict[str, dict[str, Timing]]]:
+    """Throw the balls, let the robot hit them with tables that are there, and judge by the logs.
+
+    Args:
+        named: Configs by backend.
+        tables: Table file by backend and method.
+        folder: Where to write the logs.
+        jobs: Number of processes.
+        progress: Told what is done.
+
+    Returns:
+        Results and timing by backend, then by method.
+
+    Raises:
+        ImoloError: Something failed; what was recorded until then stays.
+    """
+    tasks = {
+        (name, method): hit_tasks(named[name], folder.hits(name, method), method, path)
+        for (name, method), path in tables.items()
+    }
+    timings = _run_groups(tasks, lambda group: f"{group[0]}: balls, method {group[1]}", jobs, progress)
+    results: dict[str, dict[str, MethodResult]] = {name: {} for name, _ in tables}
+    timing: dict[str, dict[str, Timing]] = {name: {} for name, _ in tables}
+    for (name, method), group in tasks.items():
+        trials = [judge_trial(read_log(task.log_path), named[name]) for task in group]
+        results[name][method] = judge_campaign(trials)
+        timing[name][method] = _timing(timings[name, method])
+    return results, timing
 
 
-def _learn(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
+def _run_groups(
+    groups: Mapping[Group, Sequence[TrialTask]], label: Callable[[Group], str], jobs: int, progress: Progress
+) -> dict[Group, list[TrialTiming]]:
+    """Run the tasks of all groups together, turn by turn, so that no core waits for the slowest backend."""
+    owner = {id(task): group for group, tasks in groups.items() for task in tasks}
+    done = dict.fromkeys(groups, 0)
+    for group, tasks in groups.items():
+        progress(label(group), 0, len(tasks))
+
+    def count(task: TrialTask) -> None:
+        group = owner[id(task)]
+        done[group] += 1
+        progress(label(group), done[group], len(groups[group]))
+
+    ordered = [task for turn in zip_longest(*groups.values()) for task in turn if task is not None]
+    timings = dict(zip(map(id, ordered), run_tasks(ordered, jobs, count), strict=True))
+    return {group: [timings[id(task)] for task in tasks] for group, tasks in groups.items()}
+
+
+def _build_tables(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
     name = config.backend.name
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):
@@ -215,24 +206,29 @@ def _learn(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: Results
 
 
 def _disagreement(learning: Mapping[str, Sequence[TrialTask]]) -> dict[str, Statistic]:
-    hands: dict[str, dict[int, np.ndarray]] = {}
-    for name, tasks in learning.items():
-        hands[name] = {}
-        for task in tasks:
-            if task.trial.kind is TrialKind.TRAINING:
-                log = read_log(task.log_path)
-                plan = last_plan(log)
-                if plan is not None:
-                    at = plan.plan_onset_utime * 1e-6 + plan.theta[1] + AGREEMENT_TIME
-                    hand = hand_at(log, task.config.robot.hand_marker, at)
-                    if hand is not None:
-                        hands[name][task.trial.index] = hand
+    hands = {name: _training_hands(tasks) for name, tasks in learning.items()}
     return {
         f"{a} - {b}": Statistic.of(
             [float(np.linalg.norm(hands[a][i] - hands[b][i])) for i in hands[a] if i in hands[b]]
         )
-        for a, b in itertools.combinations(hands, 2)
+        for a, b in combinations(hands, 2)
     }
+
+
+def _training_hands(tasks: Sequence[TrialTask]) -> dict[int, Array]:
+    hands = {}
+    for task in tasks:
+        if task.trial.kind is not TrialKind.TRAINING:
+            continue
+        log = read_log(task.log_path)
+        plan = last_plan(log)
+        if plan is None:
+            continue
+        at = plan.plan_onset_utime * 1e-6 + plan.theta[1] + AGREEMENT_TIME
+        hand = hand_at(log, task.config.robot.hand_marker, at)
+        if hand is not None:
+            hands[task.trial.index] = hand
+    return hands
 
 
 def _timing(timings: Sequence[TrialTiming]) -> Timing:
@@ -242,20 +238,3 @@ def _timing(timings: Sequence[TrialTiming]) -> Timing:
         decision_p99=float(np.percentile(decisions, 99)),
         real_time_factor=sum(t.simulated for t in timings) / sum(t.elapsed for t in timings),
     )
-
-
-def _save_config(config: ExperimentConfig, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = config.model_dump(mode="json")
-    content["backend"].update(config.backend_options().model_dump(mode="json"))
-    path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version(), "platform": sys.platform}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found

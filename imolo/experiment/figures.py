@@ -14,8 +14,9 @@ from imolo import channels
 from imolo.backend import EventName
 from imolo.config.experiment import ExperimentConfig
 from imolo.experiment.campaign import hit_tasks
-from imolo.experiment.comparison import Comparison, ResultsFolder
+from imolo.experiment.comparison import Comparison
 from imolo.experiment.recordings import last_plan, marker_track
+from imolo.experiment.results import ResultsFolder
 from imolo.log import Log, read_log
 from imolo.method.motion import Commands
 from imolo.method.table import LookupTable

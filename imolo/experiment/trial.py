@@ -47,7 +47,7 @@ def run_trial(config: ExperimentConfig, trial: Trial, controller: Controller, lo
         BackendError: The backend refused the scene, or diverged.
         BusError: The log cannot be written.
     """
-    bus = Bus("memq://")
+    bus = Bus(config.bus)
     plugin = load_backend(config.backend.name)
     backend = plugin.create(config, config.backend_options())
     end = round(duration * 1e6)

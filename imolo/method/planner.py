@@ -22,6 +22,8 @@ from imolo.method.table import Executed, LookupTable
 from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
 
 Array = NDArray[np.float64]
+
+NEVER = 2**63 - 1  # [us]
 logger = logging.getLogger(__name__)
 
 
@@ -33,6 +35,9 @@ class PlannerConfig(Model):
         description="exposure of a frame to the onset it may command [s], assumed: one frame",
     )
     horizon: Positive = Field(0.80, description="how far ahead the ball is predicted [s]")
+    observation_time: NonNegative = Field(
+        0.0, description="least time between the detection of the ball and the onset [s]; the paper names none"
+    )
     update: bool = Field(True, description="whether commands are updated after the onset, Sec. IV-B3")
 
 
@@ -94,9 +99,11 @@ class Planner:
         self._steps = int(config.horizon / ball_model.time_step)
         self._step_times = ball_model.time_step * np.arange(1, self._steps + 1)
         self._lead = to_microseconds(config.lead_time)
+        self._observation = to_microseconds(config.observation_time)
         self._on_decision = on_decision
         self._decision: Decision | None = None
         self._newest = -1
+        self._detected = NEVER
         self._sequence = 0
 
     def attach(self, bus: Bus) -> None:
@@ -120,6 +127,7 @@ class Planner:
         state = PlanState.WAITING
         if estimate is not None and estimate.in_flight:
             self._bus.publish(channels.BALL_STATE, estimate.to_message())
+            self._detected = min(self._detected, frame.utime)
             path = self._ball_model.predict(estimate.state, self._steps)[:, :3]
             state = self._decide(frame.utime, path)
         elif self._decision is not None:
@@ -129,6 +137,8 @@ class Planner:
     def _decide(self, utime: int, path: Array) -> PlanState:
         """Start or update a motion if the table holds one for the predicted path; return the state of the plan."""
         if self._decision is None:
+            if utime < self._detected + self._observation:
+                return PlanState.TRACKING
             onset = utime + self._lead
             executed = None
         elif self._config.update:
@@ -184,4 +194,5 @@ class Planner:
         self._tracker.reset()
         self._decision = None
         self._newest = -1
+        self._detected = NEVER
         self._sequence = 0

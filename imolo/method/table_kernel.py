@@ -35,6 +35,7 @@ def first_match(
     box: NDArray[np.int64],
     tuples: NDArray[np.float64],
     spacing: float,
+    reach: float,
     time_tolerance: float,
     executed_k: float,
     executed_switch_us: float,
@@ -49,6 +50,7 @@ def first_match(
         box: Lowest grid index of the box along x, y, z, then its number of cells along each, shape (6,).
         tuples: t [s], k [-], t_w [µs] sorted by cell, shape (M, 3).
         spacing: d_grid [m].
+        reach: Distance to the nearest grid point that still counts as there, itself excluded [m].
         time_tolerance: Δt [s].
         executed_k: As in `keeps_executed_part`.
         executed_switch_us: As in `keeps_executed_part`.
@@ -69,7 +71,7 @@ def first_match(
                 break
             cell = cell * box[axis + 3] + int(index)
         # Only the nearest grid point can be nearer than half a cell, so no other cell is searched.
-        if cell < 0 or not square < (0.5 * spacing) ** 2:
+        if cell < 0 or not square < reach**2:
             continue
         best = -1
         best_distance = 0.5 * time_tolerance
