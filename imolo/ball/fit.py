@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 LEAST_NOISE = 1e-4  # [m] assumed: below what any mocap resolves; keeps the filter regular on noise-free data
 SERIES_TERMS = 40  # of exp(C t) in the fit; at a rate of 10 /s exact to 1e-9 m over 1 s
 START_SAMPLES = 4  # start the filter of a recorded flight: 12 numbers for 6 unknowns
+SHRINKAGE = 1e-4  # [m·s] keeps rates near zero that two or three flights say nothing of; well below 1 mm otherwise
 FEWEST_FLIGHTS = 3  # leave-one-out over two flights would fit to one
 
 
@@ -174,7 +175,8 @@ class _TrajectoryFit:
             targets.append(position - basis @ (basis.T @ position))
         # Sums over flights: BLAS would share one large product among threads, which is slow on a busy machine.
         pairs = list(zip(columns, targets, strict=True))
-        constant = np.linalg.solve(sum(c.T @ c for c in columns), sum(c.T @ t for c, t in pairs))
+        normal, right = sum(c.T @ c for c in columns), sum(c.T @ t for c, t in pairs)
+        constant = np.linalg.lstsq(normal, right, rcond=None)[0]
         return constant, [(t - c @ constant).reshape(-1, 3) for c, t in pairs]
 
 
@@ -189,7 +191,8 @@ def _fit(flights: Sequence[Flight], structure: Structure, config: BallModelConfi
         return matrix
 
     def residuals(parameters: Array) -> Array:
-        return np.concatenate(trajectories.solve(rates(parameters))[1]).ravel()
+        misfit = np.concatenate(trajectories.solve(rates(parameters))[1]).ravel()
+        return np.concatenate((misfit, SHRINKAGE * parameters))
 
     solution = least_squares(residuals, np.zeros(len(entries[0])), method="lm", xtol=1e-12)
     constant, errors = trajectories.solve(rates(solution.x))
