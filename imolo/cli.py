@@ -149,7 +149,7 @@ class _Bars:
         self._progress.stop()
         if kind is KeyboardInterrupt:
             logs = len(list(self._out.rglob("*.lcmlog")))
-            errors.print(f"imolo: interrupted; the {logs} logs recorded so far are kept in {self._out}")
+            errors.print(f"imolo: interrupted; the {logs} logs recorded so far are kept in {self._out}", soft_wrap=True)
             raise typer.Exit(130)
 
     def show(self, what: str, done: int, total: int) -> None:
@@ -186,7 +186,7 @@ def main() -> None:
     try:
         app()
     except ImoloError as error:
-        errors.print(f"imolo: {error}", highlight=False, markup=False)
+        errors.print(f"imolo: {error}", highlight=False, markup=False, soft_wrap=True)
         sys.exit(2)
 
 

@@ -11,6 +11,7 @@ from joblib import Parallel, delayed
 from imolo.backend import Trial, TrialKind
 from imolo.ball.model import LinearBallModel
 from imolo.config.experiment import ExperimentConfig
+from imolo.errors import ConfigError
 from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
 from imolo.method.planner import Planner
@@ -83,8 +84,14 @@ def run_tasks(
         The timings in the order of the tasks.
 
     Raises:
+        ConfigError: Several processes would share one bus.
         ImoloError: A trial failed; the logs of the others stay.
     """
+    shared = next((task.config.bus for task in tasks if not task.config.bus.startswith("memq:")), None)
+    if shared is not None and jobs > 1:
+        raise ConfigError(
+            f"trials run at once would mix their messages on the bus {shared!r}; give --jobs 1 or memq://"
+        )
     timings: dict[int, TrialTiming] = {}
     ended: Iterable[tuple[int, TrialTiming]] = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
         delayed(_run_numbered)(number, task) for number, task in enumerate(tasks)
