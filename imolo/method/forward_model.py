@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, model_validator
 from sklearn.base import clone
 
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
-from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sums, make_regressor, one_thread
+from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ GPR = ForwardModelConfig(
     inputs="standardized",
     outputs="standardized",
 )
-"""Gaussian process regression [20], ours: each coordinate has its own length scale for each input."""
+"""Gaussian process regression [20], ours: one length scale for each input, common to the three coordinates."""
 
 MLP = ForwardModelConfig(
     estimator="MLPRegressor",
@@ -143,7 +143,7 @@ class ForwardModel:
         self._training: TrainingData | None = None
         self._input_scaling: _Scaling
         self._output_scaling: _Scaling
-        self._gaussian_sums: list[GaussianSum] = []
+        self._gaussian_sum: GaussianSum | None = None
 
     @property
     def training(self) -> TrainingData:
@@ -175,7 +175,7 @@ class ForwardModel:
         inputs = input_scaling.apply(features)
         regressor = clone(self._regressor)
         fit_quietly(regressor, inputs, output_scaling.apply(training.position), self.config.estimator)
-        self._regressor, self._gaussian_sums = regressor, gaussian_sums(regressor, inputs)
+        self._regressor, self._gaussian_sum = regressor, gaussian_sum(regressor, inputs)
         self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training
         return self
 
@@ -193,13 +193,11 @@ class ForwardModel:
             NotTrainedError: `fit` has not been called.
         """
         inputs = self._inputs(theta, time)
-        result = np.empty((len(inputs), 3))
         with one_thread():
-            for gaussian_sum in self._gaussian_sums:
-                result[:, gaussian_sum.outputs] = gaussian_sum.evaluate(inputs)
-            if not self._gaussian_sums:
-                for part in chunks(len(inputs)):
-                    result[part] = self._regressor.predict(inputs[part])
+            if self._gaussian_sum is not None:
+                result = self._gaussian_sum.evaluate(inputs)
+            else:
+                result = np.concatenate([self._regressor.predict(inputs[part]) for part in chunks(len(inputs))])
         return result * self._output_scaling.spread + self._output_scaling.mean
 
     def predict_std(self, theta: ArrayLike, time: ArrayLike) -> Array:
@@ -217,17 +215,13 @@ class ForwardModel:
             ConfigError: The estimator knows no standard deviation.
         """
         inputs = self._inputs(theta, time)
-        estimators: list[Any] = getattr(self._regressor, "estimators_", [self._regressor])
-        if not all("return_std" in signature(estimator.predict).parameters for estimator in estimators):
+        if "return_std" not in signature(self._regressor.predict).parameters:
             raise ConfigError(
                 f"estimator {self.config.estimator} predicts no standard deviation; use 'GaussianProcessRegressor'"
             )
-        result = np.empty((len(inputs), 3))
         with one_thread():
-            for part in chunks(len(inputs)):
-                for output, estimator in enumerate(estimators):
-                    result[part, output] = estimator.predict(inputs[part], return_std=True)[1]
-        return result * self._output_scaling.spread
+            parts = [self._regressor.predict(inputs[part], return_std=True)[1] for part in chunks(len(inputs))]
+        return np.concatenate(parts) * self._output_scaling.spread
 
     def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:
         _ = self.training
