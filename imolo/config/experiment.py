@@ -62,7 +62,7 @@ class MethodConfig(Model):
 METHODS: dict[str, MethodConfig] = {
     "paper": MethodConfig(),
     "improved": MethodConfig(
-        forward_model=GPR.model_copy(update={"time": "since_swing"}),
+        forward_model=GPR,
         grid=TableGrid(unique="all", match="cell"),
         planner=PlannerConfig(observation_time=0.1),
     ),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from imolo import channels
 from imolo.backend import EventName
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.campaign import hit_tasks
+from imolo.experiment.campaign import hit_tasks, learning_tasks
 from imolo.experiment.comparison import Comparison
 from imolo.experiment.recordings import last_plan, marker_track
 from imolo.experiment.results import ResultsFolder
@@ -46,7 +46,7 @@ def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder
     named = {config.backend.name: config for config in configs}
     drawings = {
         "trajectories": draw_trajectories(named, folder, method),
-        "pressures": draw_pressures(named, folder, method),
+        "pressures": draw_pressures(named, folder),
         "reach": draw_reach(named, folder, method),
         "hit_rates": draw_hit_rates(comparison),
     }
@@ -109,24 +109,22 @@ def _legend(axes: Axes) -> None:
     axes.legend(loc="lower right", ncols=2, fontsize=8)
 
 
-def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder, method: str) -> Figure:
-    """Draw target and measured pressure of every valve in the first ball that started a motion on every backend."""
+def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) -> Figure:
+    """Draw target and measured pressure of every valve in the last training motion on every backend."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11, 4.6), layout="constrained")
         grid = figure.subplots(2, 4, sharex=True, sharey=True)
         for color, (name, config) in zip(COLORS, named.items(), strict=False):
-            for task in hit_tasks(config, folder.hits(name, method), method, Path()):
-                log = read_log(task.log_path)
-                commands = log.messages[channels.VALVE_COMMAND]
-                if commands:
-                    _draw_valves(grid.ravel(), log, Commands.from_message(commands[-1]), color, name)
-                    break
-        grid[0, 0].legend(fontsize=8)
+            log = read_log(learning_tasks(config, folder.learning(name))[-1].log_path)
+            commands = Commands.from_message(log.messages[channels.VALVE_COMMAND][-1])
+            _draw_valves(grid.ravel(), log, commands, color, name)
+        theta = config.training.motions[-1]
+        grid[1, 1].legend(fontsize=8)
         for axes in grid[-1]:
             axes.set_xlabel("time since onset [s]")
         for axes in grid[:, 0]:
             axes.set_ylabel("gauge pressure [MPa]")
-        figure.suptitle("Measured pressure behind each valve in the first ball with a motion; thin: its target")
+        figure.suptitle(f"Pressure behind each valve, k = {theta.k:g}, t_w = {theta.t_w:g} s; dashed: target")
     return figure
 
 
@@ -169,7 +167,7 @@ def draw_reach(named: dict[str, ExperimentConfig], folder: ResultsFolder, method
             behind = column[1].scatter(
                 position[:, 1], position[:, 2], c=theta[:, 0], s=1.5, cmap="coolwarm", rasterized=True
             )
-            column[0].set_title(f"{name}: {len(table):,} grid points")
+            column[0].set_title(f"{name}: {len(np.unique(position, axis=0)):,} grid points")
             column[0].set_xlabel("x [m]")
             column[1].set_xlabel("y [m]")
         figure.colorbar(side, ax=grid[0].tolist(), label="$t_w$ [s]")
@@ -186,7 +184,7 @@ def draw_hit_rates(comparison: Comparison) -> Figure:
     """Draw the hit rate of every backend and method with its Wilson 95 % interval."""
     with mpl.rc_context(STYLE):
         methods = list(next(iter(comparison.results.values())))
-        figure = Figure(figsize=(1.6 * len(comparison.results) + 2.5, 3.2), layout="constrained")
+        figure = Figure(figsize=(1.4 * len(comparison.results) + 3.0, 2.8), layout="constrained")
         axes = figure.subplots()
         for number, method in enumerate(methods):
             at = np.arange(len(comparison.results)) + (number - 0.5 * (len(methods) - 1)) * 0.22
@@ -200,5 +198,5 @@ def draw_hit_rates(comparison: Comparison) -> Figure:
         axes.set_xlim(-0.6, len(comparison.results) - 0.4)
         axes.set_ylim(0, 1.03)
         axes.set_ylabel("hit rate (Wilson 95 %)")
-        axes.legend(loc="lower left", fontsize=8)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     return figure

@@ -1,7 +1,9 @@
 """The comparison as tables in the terminal, beside the paper's own numbers."""
 
 from collections.abc import Mapping
+from typing import Any
 
+from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -9,6 +11,7 @@ from imolo.experiment.comparison import Comparison, Timing
 from imolo.experiment.metrics import HORIZONS, MethodResult, Statistic
 
 PAPER = ("robot", "paper", "16/20", "58-92", "13±9", "46±34", "156±32", "338±36", "-", "-")  # Sec. VII-C
+STYLE: Any = {"box": box.SIMPLE_HEAD, "title_justify": "left", "caption_justify": "left", "padding": 0}
 CAPTION = (
     "hits with the Wilson 95 % interval; hand: from the selected grid point, mean ± sd; ball: from where it was "
     "predicted that many seconds before; decide: median of a planner decision; speed: of one process, in real time. "
@@ -27,9 +30,9 @@ def render_comparison(comparison: Comparison, timing: Timings) -> RenderableType
 
 def render_results(results: Results, timing: Timings) -> Table:
     """Return a line for every backend and method, and one for the paper's robot."""
-    table = Table(title="Jump and hit", title_justify="left", caption=CAPTION, caption_justify="left")
-    table.add_column("backend")
-    table.add_column("method")
+    table = Table(title="Jump and hit", caption=CAPTION, **STYLE)
+    table.add_column("backend", no_wrap=True, min_width=8)
+    table.add_column("method", no_wrap=True, min_width=8)
     table.add_column("hits", justify="right")
     table.add_column("95 %", justify="right")
     table.add_column("hand\nmm", justify="right")
@@ -58,7 +61,7 @@ def render_results(results: Results, timing: Timings) -> Table:
 
 def render_disagreement(disagreement: Mapping[str, Statistic]) -> Table:
     """Return how far the hands of two backends are apart under the same commands."""
-    table = Table(title="Hands of two backends under the same command, t_w + 0.17 s", title_justify="left")
+    table = Table(title="Hands of two backends under the same command, t_w + 0.17 s", **STYLE)
     table.add_column("backends")
     table.add_column("mean±sd [mm]", justify="right")
     table.add_column("motions", justify="right")
