@@ -114,10 +114,12 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11, 4.6), layout="constrained")
         grid = figure.subplots(2, 4, sharex=True, sharey=True)
-        for color, (name, config) in zip(COLORS, named.items(), strict=False):
+        # Ever thinner lines, since the engines' pressures all but lie on each other.
+        widths = np.linspace(3.4, 0.9, len(named))
+        for color, width, (name, config) in zip(COLORS, widths, named.items(), strict=False):
             log = read_log(learning_tasks(config, folder.learning(name))[-1].log_path)
             commands = Commands.from_message(log.messages[channels.VALVE_COMMAND][-1])
-            _draw_valves(grid.ravel(), log, commands, color, name)
+            _draw_valves(grid.ravel(), log, commands, color=color, lw=width, label=name)
         theta = config.training.motions[-1]
         grid[1, 1].legend(fontsize=8)
         for axes in grid[-1]:
@@ -128,7 +130,7 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
     return figure
 
 
-def _draw_valves(panels: Sequence[Axes], log: Log, commands: Commands, color: str, name: str) -> None:
+def _draw_valves(panels: Sequence[Axes], log: Log, commands: Commands, **line: Any) -> None:
     messages = log.messages[channels.VALVE_PRESSURE]
     time = np.array([m.utime for m in messages])
     pressure = np.array([m.pressure for m in messages]) * 1e-6
@@ -136,8 +138,8 @@ def _draw_valves(panels: Sequence[Axes], log: Log, commands: Commands, color: st
     shown = since >= -0.05
     target = np.array([t if (t := commands.target(int(u))) is not None else np.full(8, np.nan) for u in time]) * 1e-6
     for valve, axes in enumerate(panels):
-        axes.plot(since[shown], pressure[shown, valve], color=color, lw=1.1, label=name)
-        axes.plot(since[shown], target[shown, valve], color=color, lw=0.5, ls="--")
+        axes.plot(since[shown], pressure[shown, valve], **line)
+        axes.plot(since[shown], target[shown, valve], color="#333333", lw=0.5, ls="--")
         axes.set_title(VALVES[valve], fontsize=8.5)
 
 
