@@ -8,13 +8,12 @@ from unittest import mock
 
 import mujoco  # noqa: TID251 - this is what the engine's module is measured against
 import numpy as np
-import pybullet  # noqa: TID251
 
 from imolo.config.model import Model
 from imolo_backends.dart_engine import DartEngine
 from imolo_backends.engine import Array, Engine, Scene
 from imolo_backends.mujoco_engine import MujocoEngine
-from imolo_backends.pybullet_engine import PybulletEngine
+from imolo_backends.pybullet_engine import PybulletEngine, pybullet
 
 ENGINES: dict[str, type[Any]] = {"mujoco": MujocoEngine, "pybullet": PybulletEngine, "dart": DartEngine}
 

@@ -23,7 +23,7 @@ class Measurement:
 
     @property
     def verdict(self) -> str:
-        """"ok" or "slow"; empty without a target."""
+        """Return "ok" or "slow"; nothing without a target."""
         if self.target is None:
             return ""
         return "ok" if self.value <= self.target else "slow"

@@ -2,110 +2,84 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
-from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig
-from imolo.method.motion import TRAINING_MOTIONS, Theta
-from imolo.method.table import Executed, LookupTable, TableGrid
+from benchmarks.learned import Learned
+from benchmarks.measurement import Measurement
+from imolo.experiment.learning import build_table
+from imolo.method.motion import Theta
+from imolo.method.table import Executed, LookupTable
 
 Array = NDArray[np.float64]
+Ask = Callable[[Array, float, Executed], object]
 
+BUILD_TARGETS = {"paper": 3.0}  # [s]
+QUERY_TARGET = 5.0  # [µs]
 QUERIES = 5000
-MODELS = {"svr_paper": PAPER_SVR, "gpr": GPR}
+ELAPSED = 0.15  # [s] the motion under way is in the middle of its second phase, so that k and t_w must fit
 
 
-def run() -> dict[str, Any]:
-    """Measure on the paper's grid of 549,036 predictions, with a made-up hand in place of a robot.
+def run(learned: Learned, method: str) -> tuple[list[Measurement], LookupTable]:
+    """Build the table of a method from 549,036 predictions, and ask it and a tree the same.
 
-    Returns:
-        For each forward model: `fit` and `build` [s] and the number of `tuples`; for each of `free` (before the onset)
-        and `executed` (0.15 s after it): the share of `hits` [-] and the median time of a query of the table and of
-        the tree [s], and their `ratio`.
+    Raises:
+        RuntimeError: The tree answers otherwise.
     """
+    started = time.perf_counter()
+    # As an experiment does it: one thread.
+    with threadpool_limits(limits=1):
+        table = build_table(learned.config, learned.config.methods[method], learned.data, learned.ball_model)
+    elapsed = time.perf_counter() - started
+    query, tree = _compare(table)
+    subject = f"table, {method}"
+    return [
+        Measurement(subject, "fit and build", elapsed, "s", BUILD_TARGETS.get(method)),
+        Measurement(subject, "query, median", query, "µs", QUERY_TARGET),
+        Measurement(subject, "same query of a k-d tree", tree, "µs"),
+    ], table
+
+
+def _compare(table: LookupTable) -> tuple[float, float]:
     rng = np.random.default_rng(0)
-    result: dict[str, Any] = {}
-    for name, config in MODELS.items():
-        started = time.perf_counter()
-        model = _fitted(config, rng)
-        fitted = time.perf_counter()
-        table = LookupTable.build(model, TableGrid(), rng)
-        built = time.perf_counter()
-        result[name] = {
-            "fit": fitted - started,
-            "build": built - fitted,
-            "tuples": len(table),
-            "free": _compare(table, None, rng),
-            "executed": _compare(table, Executed(Theta(*table.theta[0].tolist()), 0.15), rng),
-        }
-    return result
-
-
-def _fitted(config: ForwardModelConfig, rng: np.random.Generator) -> ForwardModel:
-    frames = np.arange(0.0, 1.2, 1.0 / 120.0)
-    theta = np.repeat(TRAINING_MOTIONS, len(frames), axis=0)
-    when = np.tile(frames, len(TRAINING_MOTIONS))
-    seen = (when - theta[:, 1] > 0.13) & (when - theta[:, 1] < 0.22)
-    theta, when = theta[seen], when[seen]
-    return ForwardModel(config).fit(theta, when, _hand(theta, when) + rng.normal(0.0, 0.003, (len(when), 3)))
-
-
-def _hand(theta: Array, when: Array) -> Array:
-    k, t_w = theta.T
-    angle = 14.0 * (when - t_w) + 0.3 * k * t_w
-    return np.column_stack((1.1 * when + 0.3 * np.sin(angle), 0.35 * k * when, 1.0 + 0.5 * when - 0.4 * np.cos(angle)))
-
-
-def _compare(table: LookupTable, executed: Executed | None, rng: np.random.Generator) -> dict[str, float]:
     rows = rng.integers(len(table), size=QUERIES)
     positions = table.position[rows] + rng.uniform(-0.004, 0.004, (QUERIES, 3))
     times = (table.time[rows] + rng.uniform(-0.004, 0.004, QUERIES)).tolist()
+    executed = [Executed(Theta(*theta), ELAPSED) for theta in table.theta[rows].tolist()]
+    answers, query = _median(table.query, positions, times, executed)
+    same, tree = _median(_tree(table), positions, times, executed)
+    if answers != same:
+        raise RuntimeError(f"the table answered {answers} queries, the tree {same}")
+    return query, tree
+
+
+def _tree(table: LookupTable) -> Ask:
     tree = cKDTree(table.position)
     reach, tolerance = table.grid.spacing / 2, table.grid.time_tolerance / 2
+    norm = np.inf if table.grid.match == "cell" else 2.0
 
-    def ask_tree(position: Array, when: float, executed: Executed | None) -> object:
-        near = tree.query_ball_point(position, reach)
+    def ask(position: Array, when: float, executed: Executed) -> object:
+        near = tree.query_ball_point(position, reach, p=norm)
         if not near:
             return None
         distance = np.abs(table.time[near] - when)
-        allowed = distance < tolerance
-        if executed is not None:
-            (k, t_w), elapsed = executed
-            new_k, new_t_w = table.theta[near].T
-            allowed &= (new_k == k) & ((new_t_w == t_w) | (elapsed <= np.minimum(new_t_w, t_w)))
+        (k, t_w), elapsed = executed
+        new_k, new_t_w = table.theta[near].T
+        allowed = (distance < tolerance) & (new_k == k) & ((new_t_w == t_w) | (elapsed <= np.minimum(new_t_w, t_w)))
         return near[int(np.argmin(np.where(allowed, distance, np.inf)))] if allowed.any() else None
 
-    table_time, hits = _median(table.query, positions, times, executed)
-    tree_time, tree_hits = _median(ask_tree, positions, times, executed)
-    if hits != tree_hits:
-        raise RuntimeError(f"the table answered {hits} queries, the tree {tree_hits}")
-    return {"hits": hits / QUERIES, "table": table_time, "tree": tree_time, "ratio": tree_time / table_time}
+    return ask
 
 
-def _median(
-    ask: Callable[[Array, float, Executed | None], object],
-    positions: Array,
-    times: list[float],
-    executed: Executed | None,
-) -> tuple[float, int]:
-    durations, hits = [], 0
-    for position, when in zip(positions, times, strict=True):
+def _median(ask: Ask, positions: Array, times: list[float], executed: list[Executed]) -> tuple[int, float]:
+    """Return the number of answers and the median time of a query [µs]."""
+    durations, answers = [], 0
+    for query in zip(positions, times, executed, strict=True):
         started = time.perf_counter_ns()
-        answer = ask(position, when, executed)
+        answer = ask(*query)
         durations.append(time.perf_counter_ns() - started)
-        hits += answer is not None
-    return float(np.median(durations)) * 1e-9, hits
-
-
-if __name__ == "__main__":
-    for name, measured in run().items():
-        print(f"{name}: fit {measured['fit']:.2f} s, build {measured['build']:.2f} s, {measured['tuples']} tuples")
-        for case in ("free", "executed"):
-            row = measured[case]
-            print(
-                f"  {case}: table {row['table'] * 1e6:.1f} µs, k-d tree {row['tree'] * 1e6:.1f} µs, "
-                f"ratio {row['ratio']:.1f}, hits {row['hits']:.0%}"
-            )
+        answers += answer is not None
+    return answers, float(np.median(durations)) * 1e-3

@@ -1,5 +1,6 @@
 """DART as an `Engine`."""
 
+import math
 from typing import Any, Literal
 
 import dartpy
@@ -74,9 +75,13 @@ class DartEngine:
         contiguous = self._dofs == list(range(start, start + len(self._dofs)))
         self._joint_index: Any = slice(start, start + len(self._dofs)) if contiguous else np.array(self._dofs)
         self._force = np.zeros(self._robot.getNumDofs())
-        self._links = [self._robot.getBodyNode(name) for name in scene.link_names]
+        # Frames that ride on the links: dartpy takes 0.3 µs to say where such a frame is, 4 µs for the link itself.
+        self._link_frames = [
+            dartpy.dynamics.SimpleFrame(self._robot.getBodyNode(name), name) for name in scene.link_names
+        ]
         self._ball_offset = np.zeros(3)
         self._contacts: list[BallContact] = []
+        self._motion: tuple[Array, Array, Array] | None = None
         self._steps = 0
         self._start()
         self._check(robot)
@@ -114,6 +119,7 @@ class DartEngine:
         self._ball_body.addExtForce(ball_force, self._ball_offset, False, True)
         self._world.step()
         self._steps += 1
+        self._motion = None
         # Cheaper than a look at the contact list, which always holds the feet.
         reaction = self._ball.getConstraintForces()
         if reaction[3] or reaction[4] or reaction[5]:
@@ -121,8 +127,12 @@ class DartEngine:
 
     def motion(self) -> tuple[Array, Array, Array]:
         """See `Engine.motion`."""
-        robot, index = self._robot, self._joint_index
-        return robot.getPositions()[index], robot.getVelocities()[index], self._ball_body.getLinearVelocity()
+        if self._motion is None:
+            robot, index = self._robot, self._joint_index
+            # Of the COM, which is the centre; `getLinearVelocity` says the same but costs five times as much.
+            ball_velocity = self._ball_body.getCOMLinearVelocity()
+            self._motion = robot.getPositions()[index], robot.getVelocities()[index], ball_velocity
+        return self._motion
 
     def read(self) -> EngineState:
         """See `Engine.read`.
@@ -130,28 +140,29 @@ class DartEngine:
         Raises:
             DivergenceError: A torque is not finite, which DART would replace by no acceleration at all.
         """
-        if not np.isfinite(self._force.sum()):
+        if not math.isfinite(sum(self._force.tolist())):
             joints = [
                 n
                 for n, dof in zip(self._scene.joint_names, self._dofs, strict=True)
                 if not np.isfinite(self._force[dof])
             ]
             raise DivergenceError(f"torque of {joints} is not finite at {self._steps * self._scene.timestep:.4f} s")
-        transforms = [link.getWorldTransform() for link in self._links]
-        poses = np.array([transform.matrix() for transform in transforms])
-        turn = transforms[0].quaternion()
+        transforms = [frame.getWorldTransform() for frame in self._link_frames]
+        poses = np.empty((len(transforms), 4, 4))
+        for pose, transform in zip(poses, transforms, strict=True):
+            pose[:] = transform.matrix()
         angle, velocity, ball_velocity = self.motion()
         contacts, self._contacts = tuple(self._contacts), []
         return EngineState(
             time=self._steps * self._scene.timestep,
-            joint_angle=angle,
-            joint_velocity=velocity,
+            joint_angle=angle.copy(),
+            joint_velocity=velocity.copy(),
             link_position=poses[:, :3, 3].copy(),
             link_rotation=poses[:, :3, :3].copy(),
-            base_quaternion=np.array([turn.w(), turn.x(), turn.y(), turn.z()]),
+            base_quaternion=transforms[0].quaternion().wxyz(),
             # The first three are the rotation.
             ball_position=self._ball.getPositions()[3:].copy(),
-            ball_velocity=ball_velocity,
+            ball_velocity=ball_velocity.copy(),
             ball_contacts=contacts,
         )
 

@@ -10,6 +10,7 @@ from imolo_backends.liberobot import MARKERS
 from imolo_msgs import marker_t, mocap_frame_t
 
 UNLABELLED = -1
+GHOST_DISTANCE = 3.0  # [m] from the trunk along each axis at most, assumed: the capture volume
 
 
 class Mocap:
@@ -32,30 +33,27 @@ class Mocap:
 
     def expose(self, utime: int, state: EngineState) -> None:
         """Take a frame of the state at `utime` [µs]."""
-        config, rng = self._config, self._rng
+        config, count = self._config, len(MARKERS)
         self._frame_number += 1
         # Always the same number of draws, so that one lost marker does not change the rest of the trial.
-        robot = self.true_markers(state) + rng.normal(0.0, 1.0, self._offset.shape) * config.marker_noise
-        ball = state.ball_position + rng.normal(0.0, 1.0, 3) * config.ball_noise
-        ghost = state.link_position[0] + rng.uniform(-3.0, 3.0, 3)
-        seen = rng.uniform(size=len(robot)) >= config.marker_dropout
-        labelled = rng.uniform(size=len(robot)) >= config.unlabelled
-        ball_seen, frame_seen, ghost_unseen = rng.uniform(size=3) >= (
-            config.ball_dropout,
-            config.frame_dropout,
-            config.ghost,
-        )
-        if not frame_seen:
+        normal = self._rng.standard_normal((count + 1, 3))
+        chance = self._rng.random(2 * count + 6).tolist()
+        ball_chance, frame_chance, ghost_chance, *ghost_place = chance[2 * count :]
+        if frame_chance < config.frame_dropout:
             return
+        robot = (self.true_markers(state) + config.marker_noise * normal[:count]).tolist()
         markers = [
-            _marker(marker.marker_id if has_label else UNLABELLED, position)
-            for marker, position, is_seen, has_label in zip(MARKERS, robot, seen, labelled, strict=True)
-            if is_seen
+            _marker(marker.marker_id if label_chance >= config.unlabelled else UNLABELLED, position)
+            for marker, position, seen_chance, label_chance in zip(
+                MARKERS, robot, chance[:count], chance[count : 2 * count], strict=True
+            )
+            if seen_chance >= config.marker_dropout
         ]
-        if ball_seen:
-            markers.append(_marker(UNLABELLED, ball))
-        if not ghost_unseen:
-            markers.append(_marker(UNLABELLED, ghost))
+        if ball_chance >= config.ball_dropout:
+            markers.append(_marker(UNLABELLED, (state.ball_position + config.ball_noise * normal[count]).tolist()))
+        if ghost_chance < config.ghost:
+            ghost = state.link_position[0] + GHOST_DISTANCE * (2.0 * np.array(ghost_place) - 1.0)
+            markers.append(_marker(UNLABELLED, ghost.tolist()))
         frame = mocap_frame_t()
         frame.utime = utime
         frame.frame_number = self._frame_number
@@ -76,8 +74,8 @@ class Mocap:
         return np.asarray(state.link_position[self._link] + np.einsum("mij,mj->mi", rotation, self._offset))
 
 
-def _marker(marker_id: int, position: Array) -> marker_t:
+def _marker(marker_id: int, position: list[float]) -> marker_t:
     marker = marker_t()
     marker.marker_id = marker_id
-    marker.marker_position = position.tolist()
+    marker.marker_position = position
     return marker

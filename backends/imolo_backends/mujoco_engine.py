@@ -83,7 +83,8 @@ class MujocoEngine:
         self._ball_reaction = memoryview(data.qfrc_constraint)[ball_dof : ball_dof + 3]
         self._motion = (data.qpos[angle_index], data.qvel[velocity_index], self._ball_velocity)
         self._links = _slice_if_contiguous([model.body(name).id for name in scene.link_names])
-        self._base = model.body(scene.link_names[0]).id
+        self._body_position, self._body_rotation = data.xpos, data.xmat.reshape(-1, 3, 3)
+        self._base_quaternion = data.xquat[model.body(scene.link_names[0]).id]
         self._ball_geom = model.geom(BALL).id
         fixed = {FLOOR, *(box.name for box in scene.boxes)}
         self._geom_names = [
@@ -136,9 +137,9 @@ class MujocoEngine:
             time=self._steps * self._scene.timestep,
             joint_angle=angle.copy(),
             joint_velocity=velocity.copy(),
-            link_position=data.xpos[self._links].copy(),
-            link_rotation=data.xmat[self._links].copy().reshape(-1, 3, 3),
-            base_quaternion=data.xquat[self._base].copy(),
+            link_position=self._body_position[self._links].copy(),
+            link_rotation=self._body_rotation[self._links].copy(),
+            base_quaternion=self._base_quaternion.copy(),
             ball_position=self._ball_position.copy(),
             ball_velocity=self._ball_velocity.copy(),
             ball_contacts=contacts,

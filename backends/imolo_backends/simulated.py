@@ -39,6 +39,9 @@ from imolo_msgs import trial_event_t, truth_ball_t, truth_robot_t, valve_command
 logger = logging.getLogger(__name__)
 
 TOUCHDOWN_MARGIN = 0.002  # [m] above the floor at which a sole counts as landed
+FEET = tuple((LINK_NAMES.index(link), link) for link in FOOT_LINKS)
+RIGHT_ARM, LEFT_ARM = (LINK_NAMES.index(link) for link in ARM_LINKS)
+PLATE = np.array(HAND_OFFSET)  # [m] its centre in the arm frame
 
 
 class SimulatedBackend:
@@ -65,7 +68,10 @@ class SimulatedBackend:
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._happened: set[EventName] = set()
-        self._pressure_sequence = 0
+        # `Bus.publish` encodes at once, so that one message of each stream is enough.
+        self._pressure = valve_pressure_t()
+        self._truth_robot = truth_robot_t()
+        self._truth_ball = truth_ball_t()
 
     @property
     def utime(self) -> int:
@@ -113,7 +119,8 @@ class SimulatedBackend:
         self._state = self._engine.read()
         self._state_step = 0
         bus.subscribe(channels.VALVE_COMMAND, self._on_command)
-        self._every(config.stream_rate, self._stream)
+        self._every(config.pressure_rate, self._tell_pressure)
+        self._every(config.truth_rate, self._tell_truth)
         self._every(config.mocap.rate, self._expose)
         if trial.kind is not TrialKind.TRAINING:
             self._at(throw.release_time, self._release)
@@ -184,23 +191,30 @@ class SimulatedBackend:
         if late is not None:
             self._announce_once(EventName.ONSET, np.zeros(3), f"{late} us after the commanded onset")
 
-    def _stream(self) -> None:
-        state = self._read()
+    def _tell_pressure(self) -> None:
         utime = self.utime
-        for frame in self._mocap.deliver(utime):
-            self._bus.publish(channels.MOCAP, frame)
-        self._pressure_sequence += 1
-        pressure = valve_pressure_t()
+        pressure = self._pressure
         pressure.utime = utime
-        pressure.pressure_sequence = self._pressure_sequence
+        pressure.pressure_sequence += 1
         noise = self._pressure_rng.normal(0.0, self._config.pressure_noise, 8)
         pressure.pressure = (self._plant.valve_pressure + noise).tolist()
         self._bus.publish(channels.VALVE_PRESSURE, pressure)
-        self._bus.publish(channels.TRUTH_ROBOT, _truth_robot(utime, state))
-        self._bus.publish(channels.TRUTH_BALL, _truth_ball(utime, state))
+
+    def _tell_truth(self) -> None:
+        state = self._read()
+        utime = self.utime
+        _tell_robot(self._truth_robot, utime, state)
+        self._bus.publish(channels.TRUTH_ROBOT, self._truth_robot)
+        _tell_ball(self._truth_ball, utime, state)
+        self._bus.publish(channels.TRUTH_BALL, self._truth_ball)
 
     def _expose(self) -> None:
         self._mocap.expose(self.utime, self._read())
+        self._at(self.utime * 1e-6 + self._config.mocap.latency, self._deliver)
+
+    def _deliver(self) -> None:
+        for frame in self._mocap.deliver(self.utime):
+            self._bus.publish(channels.MOCAP, frame)
 
     def _read(self) -> EngineState:
         if self._state_step == self._step:
@@ -215,19 +229,19 @@ class SimulatedBackend:
             elif contact.other not in LINK_NAMES:
                 detail = f"on {contact.other}"
                 self._announce_once(EventName.BALL_LANDED, contact.position, detail, round(contact.time * 1e6))
-        for link in FOOT_LINKS:
-            position = state.link_position[LINK_NAMES.index(link)]
-            if position[2] < SOLE_RADIUS + TOUCHDOWN_MARGIN:
-                self._announce_once(EventName.ROBOT_LANDED, position, link)
+        for index, link in FEET:
+            if state.link_position[index, 2] < SOLE_RADIUS + TOUCHDOWN_MARGIN:
+                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], link)
         return state
 
     def _check_finite(self, state: EngineState) -> None:
-        if not math.isfinite(state.joint_angle.sum() + state.joint_velocity.sum()):
+        # Of so few numbers Python's sum is the fastest.
+        if not math.isfinite(sum(state.joint_angle.tolist()) + sum(state.joint_velocity.tolist())):
             joint = int(np.argmin(np.isfinite(state.joint_angle) & np.isfinite(state.joint_velocity)))
             where = f"joint {JOINT_NAMES[joint]}"
         elif not math.isfinite(state.link_position.sum()):
             where = "the trunk"
-        elif not math.isfinite(state.ball_position.sum()):
+        elif not math.isfinite(sum(state.ball_position.tolist())):
             where = "the ball"
         else:
             return
@@ -260,22 +274,22 @@ def simulated_plugin(engine: type[Engine], options: type[Model], summary: str) -
     return BackendPlugin(summary, options, create)
 
 
-def _truth_robot(utime: int, state: EngineState) -> truth_robot_t:
-    truth = truth_robot_t()
+def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:
     truth.utime = utime
     truth.trunk_position = state.link_position[0].tolist()
     truth.trunk_quaternion = state.base_quaternion.tolist()
     truth.joint_angle = state.joint_angle.tolist()
     truth.joint_velocity = state.joint_velocity.tolist()
-    right, left = (LINK_NAMES.index(link) for link in ARM_LINKS)
-    truth.right_hand_position = (state.link_position[right] + state.link_rotation[right] @ HAND_OFFSET).tolist()
-    truth.left_hand_position = (state.link_position[left] + state.link_rotation[left] @ HAND_OFFSET).tolist()
-    return truth
+    truth.right_hand_position = _plate_position(state, RIGHT_ARM)
+    truth.left_hand_position = _plate_position(state, LEFT_ARM)
 
 
-def _truth_ball(utime: int, state: EngineState) -> truth_ball_t:
-    truth = truth_ball_t()
+def _plate_position(state: EngineState, arm: int) -> list[float]:
+    position: list[float] = (state.link_position[arm] + state.link_rotation[arm].dot(PLATE)).tolist()
+    return position
+
+
+def _tell_ball(truth: truth_ball_t, utime: int, state: EngineState) -> None:
     truth.utime = utime
     truth.true_ball_position = state.ball_position.tolist()
     truth.true_ball_velocity = state.ball_velocity.tolist()
-    return truth

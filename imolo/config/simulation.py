@@ -150,7 +150,10 @@ class SimulationConfig(Model):
 
     timestep: Positive = Field(1e-4, description="of the engine [s], Sec. VI")
     sole: Literal["semicircular", "flat"] = Field("semicircular", description="Sec. V-A")
-    stream_rate: Positive = Field(1000.0, description="of pressures and truth [Hz]")
+    pressure_rate: Positive = Field(1000.0, description="of VALVE_PRESSURE [Hz]")
+    truth_rate: Positive = Field(
+        250.0, description="of TRUTH_ROBOT and TRUTH_BALL [Hz]; events have times of their own"
+    )
     pressure_noise: NonNegative = Field(1.0e3, description="sd of a pressure sensor [Pa], assumed: 0.1 % of full scale")
     pneumatics: PneumaticsConfig = PneumaticsConfig()
     contact: ContactConfig = ContactConfig()

@@ -1,5 +1,6 @@
 """The lookup table of learned dynamics: which motion brings the hand where, and when (Sec. IV)."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +146,8 @@ class LookupTable:
         self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
         self._cell, self.time, self.theta = cell[order], time[order], theta[order]
         self.position = self._cell * grid.spacing
-        self._reach = 0.5 * grid.spacing if grid.match == "sphere" else np.inf
+        self._spacing, self._time_tolerance = grid.spacing, grid.time_tolerance
+        self._reach = 0.5 * grid.spacing if grid.match == "sphere" else math.inf
         self._tuples = np.column_stack((self.time, self.theta[:, 0], np.rint(self.theta[:, 1] * 1e6)))
         for array in (self._cell, self.time, self.theta, self.position):
             array.flags.writeable = False
@@ -209,8 +211,14 @@ class LookupTable:
         Returns:
             The tuple whose grid point matches and whose time is within half a time step, the nearest in time; None if
             there is none.
+
+        Raises:
+            ValueError: The position has not three coordinates.
         """
-        return self.query_path(np.array(position, dtype=np.float64).reshape(1, -1), np.array((time,)), executed)
+        point = np.array((position,), dtype=np.float64)
+        if point.shape != (1, 3):
+            raise ValueError(f"position has shape {point.shape[1:]}; give (3,)")
+        return self._search(point, np.array((time,)), executed)
 
     def query_path(self, positions: ArrayLike, times: ArrayLike, executed: Executed | None = None) -> TableHit | None:
         """Find the first point of a path that a motion reaches in time; each point is a `query`.
@@ -227,10 +235,13 @@ class LookupTable:
         when = np.ascontiguousarray(times, dtype=np.float64)
         if path.shape != (*when.shape, 3):
             raise ValueError(f"positions have shape {path.shape}, times {when.shape}; give (N, 3) and (N,)")
-        executed_k, executed_switch, elapsed = np.nan, np.nan, -1.0
+        return self._search(path, when, executed)
+
+    def _search(self, path: Array, when: Array, executed: Executed | None) -> TableHit | None:
+        executed_k, executed_switch, elapsed = math.nan, math.nan, -1.0
         if executed is not None:
             (k, t_w), elapsed_time = executed
-            executed_switch, elapsed = to_microseconds(t_w), to_microseconds(elapsed_time)
+            executed_switch, elapsed = round(t_w * 1e6), round(elapsed_time * 1e6)
             if elapsed > to_microseconds(self.template.changed_phase_start(t_w)):
                 executed_k = k
         point, row = first_match(
@@ -239,16 +250,16 @@ class LookupTable:
             self._cell_start,
             self._box,
             self._tuples,
-            self.grid.spacing,
+            self._spacing,
             self._reach,
-            self.grid.time_tolerance,
-            float(executed_k),
+            self._time_tolerance,
+            executed_k,
             float(executed_switch),
             float(elapsed),
         )
         if row < 0:
             return None
-        return TableHit(Theta(*self.theta[row].tolist()), float(self.time[row]), self.position[row], point, row)
+        return TableHit(Theta(*self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
 
     def refit(self) -> ForwardModel:
         """Return the forward model, fitted again to the stored training data."""

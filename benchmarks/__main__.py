@@ -1,0 +1,71 @@
+"""Measure everything that has a target, print one table, and write the numbers to a JSON file."""
+
+import argparse
+import json
+import platform
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import loop, planner, table
+from benchmarks.learned import learn
+from benchmarks.measurement import Measurement
+
+PACKAGES = ("numpy", "numba", "scipy", "scikit-learn", "lcm", "mujoco-core", "pybullet", "dartpy")
+VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
+
+
+def measure(console: Console) -> Iterator[Measurement]:
+    """Run all benchmarks, one after the other."""
+    for engine in loop.TARGETS:
+        with console.status(f"loop, {engine}"):
+            yield from loop.run(engine)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with console.status("learning"):
+            learned = learn(folder)
+        for method in learned.config.methods:
+            with console.status(f"table and planner, {method}"):
+                measurements, built = table.run(learned, method)
+                yield from measurements
+                yield from planner.run(learned, method, built, folder)
+
+
+def render(measurements: list[Measurement]) -> Table:
+    """Lay the measurements out."""
+    shown = Table("subject", "quantity")
+    for column in ("value", "target"):
+        shown.add_column(column, justify="right")
+    shown.add_column("verdict")
+    for one in measurements:
+        target = "" if one.target is None else f"≤ {one.target:g} {one.unit}"
+        value = f"{one.value:.4g} {one.unit}"
+        shown.add_row(one.subject, one.quantity, value, target, one.verdict, style=VERDICT_STYLE[one.verdict])
+    return shown
+
+
+def main() -> None:
+    """Run as `python -m benchmarks`."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results.json"), help="file to write")
+    path: Path = parser.parse_args().json
+    console = Console()
+    measurements = list(measure(console))
+    console.print(render(measurements))
+    content = {
+        "machine": platform.processor() or platform.machine(),
+        "python": platform.python_version(),
+        "versions": {package: version(package) for package in PACKAGES},
+        "measurements": [{**asdict(one), "verdict": one.verdict} for one in measurements],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    console.print(f"written to {path}")
+
+
+if __name__ == "__main__":
+    main()

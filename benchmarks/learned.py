@@ -1,0 +1,36 @@
+"""What the planner and its table are measured with: a robot that has learned in MuJoCo, once for all."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from imolo.backend import TrialKind
+from imolo.ball.model import LinearBallModel
+from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.experiment.campaign import learning_tasks, run_tasks
+from imolo.experiment.learning import learn_ball, learn_motions
+from imolo.method.forward_model import TrainingData
+
+
+@dataclass(frozen=True)
+class Learned:
+    """The outcome of the learning trials.
+
+    Attributes:
+        config: Of the experiment; its methods are the ones to measure.
+        ball_model: How balls fly.
+        data: How the robot moves.
+    """
+
+    config: ExperimentConfig
+    ball_model: LinearBallModel
+    data: TrainingData
+
+
+def learn(folder: Path) -> Learned:
+    """Run the throws and training motions of the default experiment, with logs in `folder`."""
+    config = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+    tasks = learning_tasks(config, folder)
+    run_tasks(tasks, jobs=-1)
+    throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]
+    motions = [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING]
+    return Learned(config, learn_ball(config, throws), learn_motions(config, motions))
