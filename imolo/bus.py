@@ -1,5 +1,6 @@
 """The message bus: LCM with our channels, and errors that say what to do."""
 
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -36,18 +37,24 @@ class Bus:
         """Encode and send a message.
 
         Raises:
-            BusError: The channel is not in the table, or the message is not of its type.
+            BusError: The channel is not in the table, or the message is not of its type or incomplete.
         """
-        if channel not in CHANNELS:
-            raise BusError(f"unknown channel {channel!r}{did_you_mean(channel, CHANNELS)}")
-        wanted = CHANNELS[channel].message_type
+        wanted = _message_type(channel)
         if not isinstance(message, wanted):
             raise BusError(f"{channel} carries {wanted.__name__}, not {type(message).__name__}")
-        self._lcm.publish(channel, message.encode())
+        try:
+            data = message.encode()
+        except (struct.error, TypeError, IndexError) as error:
+            raise BusError(f"a message for {channel} cannot be encoded: {error}") from error
+        self._lcm.publish(channel, data)
 
     def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
-        """Call `handler` with every decoded message of a channel, from within `drain`."""
-        decode = CHANNELS[channel].message_type.decode
+        """Call `handler` with every decoded message of a channel, from within `drain`.
+
+        Raises:
+            BusError: The channel is not in the table.
+        """
+        decode = _message_type(channel).decode
         self._lcm.subscribe(channel, lambda _, data: handler(decode(data)))
 
     def subscribe_raw(self, handler: Callable[[str, bytes], None]) -> None:
@@ -58,3 +65,9 @@ class Bus:
         """Handle every waiting message, those included that handlers publish meanwhile."""
         while self._lcm.handle_timeout(0) > 0:
             pass
+
+
+def _message_type(channel: str) -> type[Any]:
+    if channel not in CHANNELS:
+        raise BusError(f"unknown channel {channel!r}{did_you_mean(channel, CHANNELS)}")
+    return CHANNELS[channel].message_type

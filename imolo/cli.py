@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -53,7 +54,7 @@ def backends() -> None:
     for name in backend_names():
         status = backend_status(name)
         if status.plugin is None:
-            table.add_row(name, "[red]missing[/red]", status.problem)
+            table.add_row(name, "[red]missing[/red]", escape(status.problem))
         else:
             table.add_row(name, "[green]ready[/green]", status.plugin.summary)
     console.print(table)
@@ -149,7 +150,7 @@ class _Bars:
         self._progress.stop()
         if kind is KeyboardInterrupt:
             logs = len(list(self._out.rglob("*.lcmlog")))
-            errors.print(f"imolo: interrupted; the {logs} logs recorded so far are kept in {self._out}", soft_wrap=True)
+            _complain(f"interrupted; the {logs} logs recorded so far are kept in {self._out}")
             raise typer.Exit(130)
 
     def show(self, what: str, done: int, total: int) -> None:
@@ -180,13 +181,17 @@ def _override(config: "ExperimentConfig", seed: int | None, balls: int | None) -
     return config.model_copy(update=changes)
 
 
+def _complain(message: str) -> None:
+    errors.print(f"imolo: {message}", highlight=False, markup=False, soft_wrap=True)
+
+
 def main() -> None:
     """Run the command line; every error of ours ends in one line."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
         app()
     except ImoloError as error:
-        errors.print(f"imolo: {error}", highlight=False, markup=False, soft_wrap=True)
+        _complain(str(error))
         sys.exit(2)
 
 

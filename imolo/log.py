@@ -1,5 +1,6 @@
 """Logs: every message of a trial in an LCM event log that lcm-logplayer can play, and the way back."""
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,20 +71,22 @@ def read_log(path: Path) -> Log:
     """Read and decode a log; channels that are not ours are passed over.
 
     Raises:
-        BusError: The file is missing, or a message in it is not of its channel's type.
+        BusError: The file is missing or no log, or a message in it is not of its channel's type.
     """
     if not path.is_file():
         raise BusError(f"there is no log {path}")
     log = Log(path)
     events = lcm.EventLog(str(path), "r")
+    seen = False
     try:
         for event in events:
+            seen = True
             channel = CHANNELS.get(event.channel)
             if channel is None:
                 continue
             try:
                 message = channel.message_type.decode(event.data)
-            except ValueError as error:
+            except (ValueError, struct.error) as error:
                 raise BusError(
                     f"{path}: event {event.eventnum} on {event.channel} is no {channel.message_type.__name__}; "
                     "was it recorded with other message types?"
@@ -92,4 +95,6 @@ def read_log(path: Path) -> Log:
             log.received[event.channel].append(event.timestamp)
     finally:
         events.close()
+    if path.stat().st_size and not seen:
+        raise BusError(f"{path} is no LCM log; give a file that imolo or lcm-logger wrote")
     return log

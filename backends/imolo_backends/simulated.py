@@ -241,7 +241,7 @@ class SimulatedBackend:
             where = f"joint {JOINT_NAMES[joint]}"
         elif not math.isfinite(state.link_position.sum()):
             where = "the trunk"
-        elif not math.isfinite(sum(state.ball_position.tolist())):
+        elif not math.isfinite(sum(state.ball_position.tolist()) + sum(state.ball_velocity.tolist())):
             where = "the ball"
         else:
             return

@@ -12,6 +12,7 @@ from imolo.errors import ConfigError
 from imolo_backends.engine import Array
 
 GRAVITY = 9.81  # [m/s²]
+FASTEST = 50.0  # [m/s] no machine throws a foam ball faster, and the drag law would not hold
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,14 @@ def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_t
         flight = solve_ivp(derivative, (0.0, flight_time), np.concatenate((position, velocity)), rtol=1e-9, atol=1e-9)
         return np.asarray(flight.y[:3, -1] - aim_point)
 
+    too_far = ConfigError(
+        f"no throw from {position.tolist()} at up to {FASTEST:g} m/s is at {aim_point.tolist()} after "
+        f"{flight_time:g} s; aim nearer or give it more time"
+    )
     without_drag = (aim_point - position) / flight_time + np.array([0.0, 0.0, 0.5 * GRAVITY * flight_time])
+    if np.linalg.norm(without_drag) > FASTEST:
+        raise too_far
     solution = root(miss, without_drag)
-    if not solution.success or np.abs(solution.fun).max() > 1e-6:
-        raise ConfigError(
-            f"no throw from {position.tolist()} is at {aim_point.tolist()} after {flight_time:g} s in this air; "
-            "aim nearer or give it more time"
-        )
+    if not solution.success or np.abs(solution.fun).max() > 1e-6 or np.linalg.norm(solution.x) > FASTEST:
+        raise too_far
     return np.asarray(solution.x)

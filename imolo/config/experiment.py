@@ -1,8 +1,9 @@
 """The whole configuration of an experiment: what a YAML file may say, and every default."""
 
 import hashlib
+import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -103,7 +104,7 @@ class ExperimentConfig(Model):
 
     def digest(self) -> str:
         """Return a short hash of everything that shapes the results."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:12]
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()[:12]
 
 
 def load_config(path: Path) -> ExperimentConfig:
@@ -117,7 +118,7 @@ def load_config(path: Path) -> ExperimentConfig:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path} holds no settings; it needs at least a line such as `backend: {{name: mujoco}}`")
@@ -150,6 +151,9 @@ def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> lis
     """Return the keys that are known where `location` ends."""
     current: Any = model
     for part in location[:-1]:
+        if get_origin(current) is dict:
+            current = get_args(current)[1]
+            continue
         fields = getattr(current, "model_fields", {})
         if part not in fields:
             return []

@@ -128,7 +128,9 @@ class DisturbanceConfig(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _profile_sets_the_values(cls, values: dict[str, object]) -> dict[str, object]:
+    def _profile_sets_the_values(cls, values: object) -> object:
+        if not isinstance(values, dict):
+            return values
         profile = values.get("profile", "realistic")
         named = NAMED_DISTURBANCES.get(str(profile))
         if named is None:

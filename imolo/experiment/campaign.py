@@ -1,5 +1,7 @@
 """Run many trials at once, on all cores, and keep what is done when one fails or the user stops."""
 
+import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -102,7 +104,14 @@ def run_tasks(
     return [timings[number] for number in range(len(tasks))]
 
 
+def leave_interrupts_to_the_parent() -> None:
+    """Let Ctrl-C end the process that was started, which then ends its workers, without a word from these."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 def _run_numbered(number: int, task: TrialTask) -> tuple[int, TrialTiming]:
+    leave_interrupts_to_the_parent()
     return number, run_task(task)
 
 
@@ -117,7 +126,7 @@ def run_task(task: TrialTask) -> TrialTiming:
         controller = MotionPlayer(config.motion, theta)
         duration = START_MARGIN + theta.t_w + config.training.sampled_to
     elif task.table_path is not None:
-        table, ball_model = _load(task.table_path, config.robot.name)
+        table, ball_model = _load(task.table_path, task.table_path.stat().st_mtime_ns, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
     begin = time.perf_counter()
     simulated = run_trial(config, trial, controller, task.log_path, duration)
@@ -125,6 +134,6 @@ def run_task(task: TrialTask) -> TrialTiming:
 
 
 @lru_cache(maxsize=8)
-def _load(path: Path, robot: str) -> tuple[LookupTable, LinearBallModel]:
+def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, LinearBallModel]:
     table = LookupTable.load(path, robot)
     return table, LinearBallModel.from_dict(table.origin["ball_model"])

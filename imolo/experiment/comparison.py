@@ -14,7 +14,14 @@ from threadpoolctl import threadpool_limits
 from imolo.backend import TrialKind
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
-from imolo.experiment.campaign import TrialTask, TrialTiming, hit_tasks, learning_tasks, run_tasks
+from imolo.experiment.campaign import (
+    TrialTask,
+    TrialTiming,
+    hit_tasks,
+    learning_tasks,
+    leave_interrupts_to_the_parent,
+    run_tasks,
+)
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
 from imolo.experiment.metrics import MethodResult, Statistic, judge_campaign, judge_trial
 from imolo.experiment.recordings import hand_at, last_plan
@@ -95,6 +102,13 @@ def compare(
     named = {config.backend.name: config for config in configs}
     if len(named) != len(configs):
         raise ConfigError(f"a backend is named twice: {', '.join(config.backend.name for config in configs)}")
+    for config in configs[1:]:
+        for key, value in configs[0]:
+            if key != "backend" and getattr(config, key) != value:
+                raise ConfigError(
+                    f"the configs of {configs[0].backend.name!r} and {config.backend.name!r} differ in {key!r}; a "
+                    "comparison needs them alike but for their backend"
+                )
     disagreement = learn(configs, folder, jobs, progress)
     tables = {(name, method): folder.table(name, method) for name, config in named.items() for method in config.methods}
     results, timing = hit(named, tables, folder, jobs, progress)
@@ -193,6 +207,7 @@ def _run_groups(
 
 
 def _build_tables(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
+    leave_interrupts_to_the_parent()
     name = config.backend.name
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):

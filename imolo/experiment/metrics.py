@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from imolo import channels
 from imolo.backend import EventName
 from imolo.config.experiment import ExperimentConfig
+from imolo.errors import BusError
 from imolo.experiment.recordings import hand_at, last_plan, nearest_unlabelled
 from imolo.log import Log
 from imolo_msgs import plan_t
@@ -87,8 +88,14 @@ class MethodResult(BaseModel):
 
 
 def judge_trial(log: Log, config: ExperimentConfig) -> TrialResult:
-    """Judge one ball by its log."""
+    """Judge one ball by its log.
+
+    Raises:
+        BusError: The log holds no trial.
+    """
     events = log.messages[channels.TRIAL]
+    if not events:
+        raise BusError(f"{log.path} holds no trial event; was it recorded by imolo?")
     plan = last_plan(log)
     touched = any(event.event == EventName.HIT for event in events)
     # A ball that flies against the resting robot was not hit by it.
@@ -132,7 +139,10 @@ def wilson_interval(successes: int, total: int, z: float = 1.959963984540054) ->
     rate = successes / total
     center = (rate + z**2 / (2 * total)) / (1 + z**2 / total)
     half = z / (1 + z**2 / total) * sqrt(rate * (1 - rate) / total + z**2 / (4 * total**2))
-    return max(0.0, center - half), min(1.0, center + half)
+    # At the ends rounding would leave 1e-17 of a hit.
+    low = 0.0 if successes == 0 else center - half
+    high = 1.0 if successes == total else center + half
+    return low, high
 
 
 def _hand_error(log: Log, plan: plan_t, hand_marker: int) -> float | None:

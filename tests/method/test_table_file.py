@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rough_tables import ROUGH, SHARP, TABLE, fitted, rough_table
 
-from imolo.method import table_file
 from imolo.errors import TableFileError
+from imolo.method import table_file
 from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModelConfig
 from imolo.method.table import LookupTable
 

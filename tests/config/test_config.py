@@ -1,0 +1,180 @@
+"""What a YAML may say: every mistake ends in one line that names it and, where one is near, the right word."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from imolo.backend import BackendPlugin
+from imolo.config.experiment import ExperimentConfig, load_config
+from imolo.errors import BackendNotFoundError, ConfigError, ImoloError
+from imolo.method.motion import TRAINING_MOTIONS
+from imolo.registry import backend_names, backend_status, load_backend
+
+BACKENDS = ("dart", "mujoco", "pybullet")
+CONFIGS = Path(__file__).parents[2] / "configs"
+GOOD = "backend: {name: mujoco}\n"
+
+
+def load(tmp_path: Path, text: str) -> ExperimentConfig:
+    path = tmp_path / "experiment.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sed: 2\n", "unknown key 'sed'; did you mean 'seed'?"),
+        ("simulation: {timestp: 1.0e-4}\n", "unknown key 'simulation.timestp'; did you mean 'timestep'?"),
+        (
+            "simulation: {pneumatics: {tube_lenght: 1}}\n",
+            "unknown key 'simulation.pneumatics.tube_lenght'; did you mean 'tube_length'?",
+        ),
+        ("campaign: {nonsense: 1}\n", "(known: balls, duration, learning_throws, tail)"),
+        ("seed: many\n", "'seed' is 'many': Input should be a valid integer"),
+        ("seed: -1\n", "'seed' is -1: Input should be greater than or equal to 0"),
+        ("campaign: 5\n", "'campaign' is 5: Input should be a valid dictionary"),
+        ("campaign: {balls: 0}\n", "'campaign.balls' is 0"),
+        ("simulation: {timestep: .nan}\n", "'simulation.timestep' is nan: Input should be"),
+        ("simulation: {sole: round}\n", "'simulation.sole' is 'round': Input should be 'semicircular' or 'flat'"),
+        ("simulation: {pneumatics: {rest_pressure: [0, 0]}}\n", "should have at least 8 items"),
+        ("simulation: {thrower: {hold_time: [0.2, 0.1]}}\n", "is not (shortest, longest)"),
+        ("motion: {switch_phase: 7}\n", "switch_phase is 7; give 1 to 2"),
+        ("training: {motions: []}\n", "'training.motions' is []: Tuple should have at least 1 item"),
+        ("methods: {}\n", "'methods' is {}: Dictionary should have at least 1 item"),
+        ("simulation: {disturbance: {profile: none, joint_angle: 0.1}}\n", "use `profile: custom` to choose"),
+        ("1: 2\n", "'1' is 1: Keys should be strings"),
+    ],
+)
+def test_wrong_key_or_value_is_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, GOOD + text)
+    assert message in str(caught.value)
+    assert "experiment.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no settings; it needs at least a line such as `backend: {name: mujoco}`"),
+        ("# nothing but a comment\n", "holds no settings"),
+        ("- 1\n- 2\n", "holds no settings"),
+        ("seed: 1\n", "'backend' is missing"),
+        ("backend: {}\n", "'backend.name' is missing"),
+        ("backend: mujoco\n", "'backend' is 'mujoco'"),
+        ("backend: [\n", "is not YAML"),
+        ("a: b: c\n", "is not YAML"),
+        ("\x00", "is not YAML"),
+        ("!!python/object:os.system {}\n", "is not YAML"),
+    ],
+)
+def test_file_without_a_usable_config_says_what_it_lacks(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, text)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_is_no_text_is_not_yaml(tmp_path: Path) -> None:
+    path = tmp_path / "experiment.yaml"
+    path.write_bytes(b"\xff\xfe\x80")
+    with pytest.raises(ConfigError, match="is not YAML"):
+        load_config(path)
+
+
+@pytest.mark.parametrize(("place", "reason"), [("gone.yaml", "No such file"), ("", "Is a directory")])
+def test_file_that_cannot_be_read_is_named(tmp_path: Path, place: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=f"cannot read the config {tmp_path / place}: {reason}"):
+        load_config(tmp_path / place)
+
+
+@pytest.mark.parametrize("value", ["none", "5", ""])
+def test_disturbance_that_is_no_section_is_named(tmp_path: Path, value: str) -> None:
+    with pytest.raises(ConfigError, match=r"simulation\.disturbance"):
+        load(tmp_path, f"{GOOD}simulation: {{disturbance: {value}}}\n")
+
+
+def test_date_that_does_not_exist_is_not_yaml(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not YAML"):
+        load(tmp_path, GOOD + "seed: 2020-13-45\n")
+
+
+def test_wrong_key_of_a_method_has_a_hint_too(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'forward_model'"):
+        load(tmp_path, GOOD + "methods: {paper: {forward_modle: {}}}\n")
+
+
+# Backends.
+
+
+def test_required_engines_are_registered_and_ready() -> None:
+    assert set(BACKENDS) <= set(backend_names())
+    assert {name: backend_status(name).problem for name in BACKENDS} == dict.fromkeys(BACKENDS, "")
+
+
+def test_backends_are_in_alphabetical_order() -> None:
+    assert backend_names() == sorted(backend_names())
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_plugin_has_a_line_of_summary_and_options_with_defaults(name: str) -> None:
+    plugin = load_backend(name)
+    assert isinstance(plugin, BackendPlugin)
+    assert plugin.summary
+    assert "\n" not in plugin.summary
+    assert plugin.options().model_dump() == plugin.options.model_validate({}).model_dump()
+
+
+def test_unknown_backend_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    with pytest.raises(BackendNotFoundError, match=r"unknown backend 'mujco'; did you mean 'mujoco'.*registered: dart"):
+        load(tmp_path, "backend: {name: mujco}\n")
+
+
+def test_unknown_option_of_a_backend_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"backend 'mujoco': unknown key 'itegrator'; did you mean 'integrator'\?"):
+        load(tmp_path, "backend: {name: mujoco, itegrator: euler}\n")
+
+
+def test_option_of_one_backend_is_unknown_to_another(tmp_path: Path) -> None:
+    load(tmp_path, "backend: {name: dart, collision_detector: fcl}\n")
+    with pytest.raises(ConfigError, match="backend 'mujoco': unknown key 'collision_detector'"):
+        load(tmp_path, "backend: {name: mujoco, collision_detector: fcl}\n")
+
+
+# The configs that come with it.
+
+
+def test_shipped_configs_differ_in_the_backend_alone() -> None:
+    contents = {path.stem: yaml.safe_load(path.read_text(encoding="utf-8")) for path in CONFIGS.glob("*.yaml")}
+    assert set(contents) == set(BACKENDS)
+    assert {name: content.pop("backend")["name"] for name, content in contents.items()} == {n: n for n in BACKENDS}
+    assert contents["mujoco"] == contents["pybullet"] == contents["dart"]
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_shipped_config_is_the_experiment_of_the_paper(name: str) -> None:
+    config = load_config(CONFIGS / f"{name}.yaml")
+    assert config.training.motions == TRAINING_MOTIONS
+    assert config.campaign.balls == 20
+    assert config.campaign.learning_throws == 10
+    assert config.simulation.timestep == 1e-4
+    assert config.methods["paper"] == ExperimentConfig(backend=config.backend).methods["paper"]
+
+
+def test_resolved_config_is_read_back_as_it_was(tmp_path: Path) -> None:
+    config = load_config(CONFIGS / "mujoco.yaml")
+    again = load(tmp_path, yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False))
+    assert again == config
+    assert again.digest() == config.digest()
+
+
+def test_digest_tells_configs_apart() -> None:
+    config = load_config(CONFIGS / "mujoco.yaml")
+    assert config.digest() != config.model_copy(update={"seed": 2}).digest()
+
+
+def test_every_error_of_ours_is_caught_as_one() -> None:
+    assert issubclass(ConfigError, ImoloError)
+    assert issubclass(BackendNotFoundError, ImoloError)

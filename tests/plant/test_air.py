@@ -1,0 +1,369 @@
+"""Air, valves and cylinders against closed forms; `n` is a heat exponent, `V` a volume, `S` a slope."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from imolo.config.simulation import BallConfig, PneumaticsConfig
+from imolo_backends.liberobot import JOINT_LIMITS, READY_JOINT_ANGLE
+from imolo_backends.plant import Plant, PlantDisturbance, tube_conductance
+from imolo_backends.plant_kernel import VALVE_OF_CHAMBER, mass_flow
+
+Array = NDArray[np.float64]
+
+H = 1e-4  # [s]
+ATMOSPHERE = 101_325.0  # [Pa]
+R_T = 287.05 * 293.15  # [J/kg] of air at 20 °C
+DENSITY = 1.185  # [kg/m³] reference air of ISO 6358
+READY = np.array(READY_JOINT_ANGLE)
+MIDDLE = JOINT_LIMITS.mean(axis=1)
+LEG_SWEEP = math.pi / 4 * 0.040**2 * 0.026 * 2.0  # [m³/rad] Sec. V-A: 40 mm bore, 26 mm arm, reduction 2
+ARM_SWEEP = math.pi / 4 * 0.025**2 * 0.026  # [m³/rad] Sec. V-A: 25 mm bore, 26 mm arm
+SWEEP = np.array([LEG_SWEEP] * 6 + [ARM_SWEEP] * 2)
+STILL = np.zeros(8)
+CALM = np.zeros(3)
+ROUNDING = 1e-12  # relative, of some thousand operations in double precision
+CLOSED_TUBE = {"tube_diameter": 1e-9}
+ISOTHERMAL = {"heat_in": 1.0, "heat_out": 1.0, "heat_volume": 1.0}
+
+
+def plant(timestep: float = H, angle: Array = MIDDLE, changes: PlantDisturbance | None = None, **values: Any) -> Plant:
+    return Plant(PneumaticsConfig(**values), BallConfig(), timestep, JOINT_LIMITS, angle, changes)
+
+
+def run(air: Plant, steps: int, angle: Array = MIDDLE) -> None:
+    for _ in range(steps):
+        air.step(angle, STILL, CALM)
+
+
+def volumes(config: PneumaticsConfig, angle: Array) -> tuple[Array, Array]:
+    """Return chamber volumes, shape (2, 8), and volumes behind the valves, shape (8,) [m³]."""
+    half_tube = math.pi / 4 * config.tube_diameter**2 * config.tube_length / 2
+    stroke = np.array([angle - JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1] - angle])
+    tubes = np.array([sum(valve == VALVE_OF_CHAMBER) for valve in range(8)])
+    return config.dead_volume + half_tube + SWEEP * stroke, config.manifold_volume + half_tube * tubes
+
+
+# Flow through an orifice, ISO 6358.
+
+
+@pytest.mark.parametrize(
+    # sqrt(1 - x²) with x = (ratio - 0.3) / 0.7, by hand.
+    ("ratio", "share"),
+    [(0.0, 1.0), (0.3, 1.0), (0.65, math.sqrt(0.75)), (0.72, 0.8), (0.86, 0.6), (0.972, 0.28), (1.0, 0.0)],
+)
+def test_flow_follows_the_ellipse_of_iso_6358(ratio: float, share: float) -> None:
+    conductance, up = 2e-8, 7e5
+    flow = mass_flow(conductance, up, ratio * up, 0.3, 0.995)
+    assert_allclose(flow, conductance * up * share, rtol=ROUNDING, atol=0.0)
+
+
+@given(st.floats(1e3, 2e6), st.floats(0.0, 0.3))
+def test_choked_flow_does_not_feel_the_pressure_behind(up: float, ratio: float) -> None:
+    assert mass_flow(1e-8, up, ratio * up, 0.3, 0.995) == pytest.approx(1e-8 * up, rel=1e-15)
+
+
+@given(st.floats(1e3, 2e6), st.floats(1e3, 2e6))
+def test_flow_backwards_is_the_flow_forwards_with_the_other_sign(one: float, other: float) -> None:
+    assert mass_flow(1e-8, one, other, 0.3, 0.995) == -mass_flow(1e-8, other, one, 0.3, 0.995)
+
+
+@given(st.floats(1e3, 2e6), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_flow_never_grows_with_the_pressure_behind(up: float, one: float, other: float) -> None:
+    low, high = sorted((one, other))
+    more, less = (mass_flow(1e-8, up, ratio * up, 0.3, 0.995) for ratio in (low, high))
+    assert less <= more * (1.0 + ROUNDING)
+
+
+def test_flow_is_linear_above_the_laminar_ratio() -> None:
+    at, halfway = (mass_flow(1e-8, 5e5, ratio * 5e5, 0.3, 0.995) for ratio in (0.995, 0.9975))
+    # The ratio is rounded to 1e-16 and its distance to one is 0.0025.
+    assert halfway == pytest.approx(at / 2, rel=1e-13)
+
+
+def test_tube_conductance_is_that_of_the_formula_in_iso_6358_3() -> None:
+    # C = 0.029 d² / sqrt(L / d^1.25 + 510) of the robot's 4 mm tubes, half a metre long; three digits were worked out.
+    assert tube_conductance(0.004, 0.5) == pytest.approx(1.46e-8, abs=0.005e-8)
+
+
+# Filling, emptying and rest.
+
+
+@pytest.mark.parametrize("timestep", [H, 5 * H])
+def test_rest_is_an_equilibrium(timestep: float) -> None:
+    air = plant(timestep, READY)
+    before = air.valve_pressure, air.chamber_pressure, air.tank_pressure
+    run(air, 1000, READY)
+    after = air.valve_pressure, air.chamber_pressure, air.tank_pressure
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_choked_filling_is_linear_in_time() -> None:
+    """p = p0 + n R T C rho p_tank t / V while p < b p_tank, behind a valve that opens at once."""
+    air = plant(
+        **CLOSED_TUBE, valve_dead_time=0.0, valve_time_constant=H, tank_volume=1e9, manifold_volume=1e-3, heat_in=1.4
+    )
+    air.target[0] = 0.9e6
+    steps = 1500
+    run(air, steps)
+    tank = 0.9e6 + ATMOSPHERE
+    slope = 1.4 * R_T * 0.8e-8 * DENSITY * tank / 1e-3
+    assert ATMOSPHERE + slope * steps * H < 0.3 * tank  # still choked
+    assert_allclose(air.valve_pressure[0], slope * steps * H, rtol=1e-9)  # the tank loses 1e-12 of its air
+
+
+def test_step_response_has_the_lag_of_the_valve() -> None:
+    """Opening 1 - exp(-t/tau) gives p = S (t - tau (1 - exp(-t/tau))) while choked."""
+    tau, steps = 0.015, 600
+    air = plant(
+        **CLOSED_TUBE, valve_dead_time=0.0, valve_time_constant=tau, tank_volume=1e9, manifold_volume=1e-3, heat_in=1.4
+    )
+    air.target[0] = 0.9e6
+    run(air, steps)
+    slope = 1.4 * R_T * 0.8e-8 * DENSITY * (0.9e6 + ATMOSPHERE) / 1e-3
+    time = steps * H
+    expected = slope * (time - tau * (1 - math.exp(-time / tau)))
+    # Both Euler steps are one step early or late: the opening rises by 1 in all, so the sum is off by at most H.
+    assert abs(air.valve_pressure[0] - expected) < slope * H
+    assert expected > 20 * slope * H
+
+
+@pytest.mark.parametrize(("dead_time", "timestep"), [(0.0, H), (0.010, H), (0.010, 5 * H), (0.0203, H)])
+def test_nothing_moves_before_the_dead_time_and_everything_after(dead_time: float, timestep: float) -> None:
+    air = plant(timestep, valve_dead_time=dead_time)
+    rest = air.valve_pressure
+    air.target[:] = 0.6e6
+    run(air, int(dead_time / timestep + 1e-9))
+    assert np.array_equal(air.valve_pressure, rest)
+    run(air, 1)
+    assert (air.valve_pressure > rest).all()
+
+
+def test_each_valve_has_its_own_dead_time() -> None:
+    extra = np.arange(8) * 5 * H
+    air = plant(valve_dead_time=0.010, changes=PlantDisturbance(extra, 0.0))
+    rest = air.valve_pressure
+    air.target[:] = 0.6e6
+    first = np.full(8, -1)
+    for step in range(200):
+        run(air, 1)
+        first[(first < 0) & (air.valve_pressure > rest)] = step
+    assert first.tolist() == [round((0.010 + time) / H) for time in extra]
+
+
+def test_dead_time_is_never_negative() -> None:
+    air = plant(valve_dead_time=0.001, changes=PlantDisturbance(np.full(8, -0.005), 0.0))
+    rest = air.valve_pressure
+    air.target[:] = 0.6e6
+    run(air, 1)
+    assert (air.valve_pressure > rest).all()
+
+
+def test_commanded_pressures_are_reached() -> None:
+    """A proportional regulator without a leak has no offset; near the target it closes in on it exponentially."""
+    target = np.array([0.6e6, 0.4e6, 0.1e6, 0.6e6, 0.4e6, 0.1e6, 0.3e6, 0.05e6])
+    air = plant(tank_volume=1.0)
+    air.target[:] = target
+    run(air, 20_000)
+    chambers = air.chamber_pressure.ravel()
+    # Filling at the slowest, n = 1 from a tank choked behind the valve of eight chambers in mid-range:
+    config = PneumaticsConfig()
+    chamber, manifold = volumes(config, MIDDLE)
+    eight = chamber.ravel()[VALVE_OF_CHAMBER == 7].sum() + manifold[7]
+    rate = R_T * config.supply_conductance * DENSITY * 1.0e6 / (eight * config.full_opening_error)  # [1/s]
+    left = config.full_opening_error * math.exp(-rate * 1.0)  # [Pa] after one of the two seconds
+    assert left < 1.0
+    assert_allclose(air.valve_pressure, target, atol=1.0)
+    assert_allclose(chambers, target[VALVE_OF_CHAMBER], atol=1.0)
+
+
+def test_vented_valves_go_down_to_the_air_and_not_below() -> None:
+    """Opening and flow both fall with the error e, so de/dt = -K e² and e < 1 / (K t)."""
+    air = plant()
+    air.target[:7] = 0.4e6
+    run(air, 2000)
+    air.target[:] = 0.0
+    steps = 20_000
+    run(air, steps)
+    config = PneumaticsConfig()
+    chamber, manifold = volumes(config, MIDDLE)
+    x = (config.laminar_ratio - 0.3) / 0.7
+    laminar = config.exhaust_conductance * DENSITY * math.sqrt(1 - x**2) / (1 - config.laminar_ratio)  # [kg/(s·Pa)]
+    for valve in range(8):
+        volume = chamber.ravel()[valve == VALVE_OF_CHAMBER].sum() + manifold[valve]
+        K = R_T * laminar / (config.full_opening_error * volume)
+        # Twice the time that the linear part takes alone: the first second gets it there.
+        assert 0.0 <= air.valve_pressure[valve] < 2.0 / (K * steps * H)
+
+
+def test_tank_loses_exactly_the_air_that_is_in_the_robot() -> None:
+    """All isothermal and nothing vented, p V / (R T) of all volumes is the mass of the air."""
+    config = PneumaticsConfig(**ISOTHERMAL)
+    air = plant(**ISOTHERMAL)
+    chamber, manifold = volumes(config, MIDDLE)
+
+    def mass() -> float:
+        contents = (
+            (air.tank_pressure + ATMOSPHERE) * config.tank_volume
+            + ((air.valve_pressure + ATMOSPHERE) * manifold).sum()
+            + ((air.chamber_pressure + ATMOSPHERE) * chamber).sum()
+        )
+        return float(contents) / R_T
+
+    before, tank = mass(), air.tank_pressure
+    air.target[:] = 0.9e6  # never reached, so no valve opens to the air
+    run(air, 2000)
+    assert mass() == pytest.approx(before, rel=ROUNDING)
+    assert tank - air.tank_pressure > 0.1e6
+
+
+def test_vented_air_does_not_come_back_to_the_tank() -> None:
+    air = plant()
+    air.target[:7] = 0.4e6
+    run(air, 2000)
+    before = air.tank_pressure
+    air.target[:] = 0.0
+    # Openings pass zero within a few time constants of the lag; until then the tank still feeds.
+    run(air, 1000)
+    closed = air.tank_pressure
+    run(air, 1000)
+    assert closed <= before
+    assert air.tank_pressure == closed
+
+
+def test_supply_pressure_of_a_trial_is_that_of_its_tanks() -> None:
+    air = plant(changes=PlantDisturbance(np.zeros(8), -0.02e6), supply_pressure=0.9e6)
+    assert air.tank_pressure == pytest.approx(0.88e6, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("joint_moves", [0.5, -0.5])
+def test_air_is_adiabatic_where_it_enters_and_isothermal_where_it_leaves(joint_moves: float) -> None:
+    """Behind a shut valve, p V falls by R T m where m leaves and rises by 1.4 R T m where it enters."""
+    shut = {"full_opening_error": 1e15, "rest_pressure": (0.2e6,) * 8}
+    config, air = PneumaticsConfig(**shut), plant(**shut)
+    angle = MIDDLE.copy()
+    angle[0] += joint_moves  # the right hip squeezes the chamber of valve 1, or widens it
+    chamber, manifold = volumes(config, angle)
+    air.step(angle, STILL, CALM)
+    in_chamber, behind_valve = air.chamber_pressure[1, 0], air.valve_pressure[0]
+    run(air, 5, angle)
+    gained = (air.chamber_pressure[1, 0] - in_chamber) * chamber[1, 0]
+    lost = -(air.valve_pressure[0] - behind_valve) * manifold[0]
+    assert gained * joint_moves < 0.0
+    ratio = gained / lost if gained > 0.0 else lost / gained
+    # The changes are a hundredth of the pressures.
+    assert ratio == pytest.approx(1.4, rel=1e-9)
+
+
+# Pistons.
+
+
+def test_sealed_chamber_is_polytropic() -> None:
+    """P V^1.2 stays what it was, whatever way the piston goes."""
+    config = PneumaticsConfig(**CLOSED_TUBE, rest_pressure=(0.2e6,) * 8)
+    air = plant(**CLOSED_TUBE, rest_pressure=config.rest_pressure)
+    chamber, _ = volumes(config, MIDDLE)
+    constant = (air.chamber_pressure + ATMOSPHERE) * chamber**1.2
+    for share in (0.1, 0.9, 0.35, 0.0, 1.0):
+        angle = JOINT_LIMITS[:, 0] + share * np.ptp(JOINT_LIMITS, axis=1)
+        air.step(angle, STILL, CALM)
+        chamber, _ = volumes(config, angle)
+        # The tube still lets 1e-17 kg through.
+        assert_allclose((air.chamber_pressure + ATMOSPHERE) * chamber**1.2, constant, rtol=1e-10)
+
+
+def test_moving_joint_is_followed_between_the_steps() -> None:
+    """Substeps see the angle move with the velocity, as far as the start of the last one."""
+    config = PneumaticsConfig(**CLOSED_TUBE, rest_pressure=(0.2e6,) * 8)
+    air = plant(5 * H, **CLOSED_TUBE, rest_pressure=config.rest_pressure)
+    start, _ = volumes(config, MIDDLE)
+    end, _ = volumes(config, MIDDLE + 4 * H * 10.0)
+    air.step(MIDDLE, np.full(8, 10.0), CALM)
+    expected = (0.2e6 + ATMOSPHERE) * (start / end) ** 1.2 - ATMOSPHERE
+    assert_allclose(air.chamber_pressure, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    # A r N Δp with Sec. V-A: 4π cm² · 26 mm · 2 · 0.6 MPa = 39.2 N·m, 4.91 cm² · 26 mm · 0.3 MPa = 3.83 N·m.
+    ("joint", "valve", "pressure", "torque"),
+    [(1, 1, 0.6e6, -39.2), (4, 4, 0.6e6, -39.2), (6, 6, 0.3e6, 3.83), (7, 6, 0.3e6, 3.83)],
+)
+def test_torque_is_pressure_times_area_times_moment_arm(joint: int, valve: int, pressure: float, torque: float) -> None:
+    rest = np.zeros(8)
+    rest[valve] = pressure
+    air = plant(rest_pressure=tuple(rest.tolist()))
+    air.step(MIDDLE, STILL, CALM)
+    assert air.joint_torque[joint] == pytest.approx(torque, abs=0.05 if abs(torque) > 10 else 0.005)
+
+
+def test_valve_8_bends_the_legs_and_lowers_the_arms() -> None:
+    air = plant(rest_pressure=(0.0,) * 7 + (0.5e6,))
+    air.step(MIDDLE, STILL, CALM)
+    assert (air.joint_torque[:6] > 0.0).all()
+    assert (air.joint_torque[6:] < 0.0).all()
+
+
+@given(st.lists(st.floats(-30.0, 30.0), min_size=8, max_size=8))
+def test_friction_takes_energy_from_every_joint(speed: list[float]) -> None:
+    velocity = np.array(speed)
+    config = PneumaticsConfig(rest_pressure=(0.0,) * 8)
+    air = plant(rest_pressure=config.rest_pressure)
+    air.step(MIDDLE, velocity, CALM)
+    dry = np.array([config.leg_coulomb_friction] * 6 + [config.arm_coulomb_friction] * 2)
+    viscous = np.array([config.leg_viscous_friction] * 6 + [config.arm_viscous_friction] * 2)
+    expected = -dry * np.tanh(velocity / config.friction_smoothing) - viscous * velocity
+    # One substep at zero displacement: both chambers of each joint still hold the same pressure.
+    assert_allclose(air.joint_torque, expected, rtol=1e-12, atol=1e-12)
+    assert (air.joint_torque * velocity <= 0.0).all()
+
+
+# The steps themselves.
+
+
+def test_long_step_is_made_of_short_ones() -> None:
+    long, short = plant(5 * H), plant(H)
+    for air in (long, short):
+        air.target[:] = 0.3e6
+    run(long, 100)
+    run(short, 500)
+    assert_allclose(long.chamber_pressure, short.chamber_pressure, rtol=ROUNDING)
+    assert_allclose(long.joint_torque, short.joint_torque, rtol=ROUNDING, atol=1e-9)
+
+
+def test_half_the_substep_halves_the_error() -> None:
+    def pressures(halvings: int) -> Array:
+        air = plant(H, max_substep=H / 2**halvings)
+        air.target[:] = (0.6e6, 0.4e6, 0.1e6, 0.6e6, 0.4e6, 0.1e6, 0.0, 0.05e6)
+        run(air, 400)
+        return air.chamber_pressure[1, :6]
+
+    coarse, middle, fine = (pressures(halvings) for halvings in (2, 3, 4))
+    ratio = np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine)
+    # First order: 2 + O(h / tau), with h a quarter of H and tau the lag of the valve; second order would be 4.
+    assert abs(ratio - 2.0) < 0.25 * H / PneumaticsConfig().valve_time_constant
+
+
+# The ball.
+
+
+def test_drag_is_opposite_and_quadratic() -> None:
+    air = plant()
+    velocity = np.array([-6.0, 0.4, 3.0])
+    air.step(MIDDLE, STILL, velocity)
+    # ½ rho Cd A |v| v: 1.2 kg/m³, 0.45, 45 mm.
+    expected = -0.5 * 1.2 * 0.45 * math.pi * 0.045**2 * math.sqrt(45.16) * velocity
+    assert_allclose(air.ball_force, expected, rtol=ROUNDING)
+
+
+def test_terminal_speed_of_the_ball_is_7_6_metres_per_second() -> None:
+    air = plant()
+    speed = math.sqrt(2 * 0.010 * 9.81 / (1.2 * 0.45 * math.pi * 0.045**2))
+    assert round(speed, 1) == 7.6
+    air.step(MIDDLE, STILL, np.array([0.0, 0.0, -speed]))
+    assert_allclose(air.ball_force, [0.0, 0.0, 0.010 * 9.81], rtol=ROUNDING)

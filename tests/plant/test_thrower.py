@@ -1,0 +1,128 @@
+"""The throwing machine: aimed well, scattered as said, and the same for the same seed."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imolo.backend import Trial, TrialKind
+from imolo.config.simulation import BallConfig, ThrowerConfig
+from imolo.errors import ConfigError
+from imolo_backends.thrower import Throw, aimed_velocity, draw_throw
+
+Array = NDArray[np.float64]
+
+BALL = BallConfig()
+STEADY = ThrowerConfig(flight_time_spread=0.0, speed_scatter=0.0, angle_scatter=0.0)
+THROWS = 100
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def fly(position: Array, velocity: Array, time: float, steps: int = 200) -> Array:
+    """Integrate a ball with quadratic drag by the classical Runge-Kutta method; return where it is."""
+    drag = 1.2 * 0.45 * math.pi * 0.045**2 / (2 * 0.010)
+
+    def derivative(state: Array) -> Array:
+        v = state[3:]
+        return np.concatenate((v, -drag * math.sqrt(v @ v) * v - [0.0, 0.0, 9.81]))
+
+    state, h = np.concatenate((position, velocity)), time / steps
+    for _ in range(steps):
+        a = derivative(state)
+        b = derivative(state + h / 2 * a)
+        c = derivative(state + h / 2 * b)
+        d = derivative(state + h * c)
+        state = state + h / 6 * (a + 2 * b + 2 * c + d)
+    return state[:3]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("index", [0, 1])
+def test_ball_is_at_the_aim_point_after_the_flight_time(seed: int, index: int) -> None:
+    throw = draw_throw(STEADY, BALL, index, rng(seed))
+    # Root and integrator of the thrower stop at 1e-6 m.
+    assert np.abs(fly(throw.position, throw.velocity, STEADY.flight_time) - throw.aim_point).max() < 2e-6
+
+
+def test_ball_without_drag_flies_the_parabola() -> None:
+    vacuum = BALL.model_copy(update={"drag_coefficient": 0.0})
+    velocity = aimed_velocity(vacuum, np.array([5.0, 0.0, 1.0]), np.array([1.0, 0.2, 1.6]), 0.8)
+    assert velocity == pytest.approx([-5.0, 0.25, 0.75 + 0.4 * 9.81], abs=1e-6)
+
+
+def test_machine_takes_its_positions_in_turn() -> None:
+    config = STEADY.model_copy(update={"positions": ((5.0, -0.4, 1.1), (5.0, 0.4, 1.1), (4.5, 0.0, 1.0))})
+    thrown = [tuple(draw_throw(config, BALL, index, rng(index)).position.tolist()) for index in range(7)]
+    assert thrown == [config.positions[index % 3] for index in range(7)]
+
+
+def test_impossible_aim_says_so() -> None:
+    config = STEADY.model_copy(update={"aim_center": (-1e4, 0.0, 1.0)})
+    with pytest.raises(ConfigError, match=r"no throw from \[5\.0.* aim nearer or give it more time"):
+        draw_throw(config, BALL, 0, rng())
+
+
+def same(one: Throw, other: Throw) -> bool:
+    return np.array_equal(one.velocity, other.velocity) and one.release_time == other.release_time
+
+
+def test_trial_alone_decides_the_throw() -> None:
+    def throw(kind: TrialKind, index: int, seed: int) -> Throw:
+        return draw_throw(ThrowerConfig(), BALL, index, Trial(kind, index, seed).generator("throw"))
+
+    assert same(throw(TrialKind.HIT, 4, 1), throw(TrialKind.HIT, 4, 1))
+    for other in (throw(TrialKind.HIT, 6, 1), throw(TrialKind.HIT, 4, 2), throw(TrialKind.THROW, 4, 1)):
+        assert not same(throw(TrialKind.HIT, 4, 1), other)
+
+
+@pytest.fixture(scope="module")
+def scattered() -> list[Throw]:
+    """Throws from one place at one point, so that all that differs is the scatter of the machine."""
+    config = ThrowerConfig(positions=((5.0, 0.0, 1.1),), aim_spread=(0.0, 0.0, 0.0), flight_time_spread=0.0)
+    generator = rng(7)
+    return [draw_throw(config, BALL, 0, generator) for _ in range(THROWS)]
+
+
+@pytest.mark.parametrize("quantity", ["speed", "elevation", "azimuth"])
+def test_scatter_of_the_machine_is_as_configured(scattered: list[Throw], quantity: str) -> None:
+    velocity = np.array([throw.velocity for throw in scattered])
+    speed = np.linalg.norm(velocity, axis=1)
+    config = ThrowerConfig()
+    aimed = aimed_velocity(BALL, np.array([5.0, 0.0, 1.1]), np.array(config.aim_center), config.flight_time)
+    deviation, sd = {
+        "speed": (speed / np.linalg.norm(aimed) - 1.0, config.speed_scatter),
+        "elevation": (
+            np.arcsin(velocity[:, 2] / speed) - np.arcsin(aimed[2] / np.linalg.norm(aimed)),
+            config.angle_scatter,
+        ),
+        "azimuth": (
+            np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])) - np.arctan2(aimed[1], aimed[0]) % (2 * np.pi),
+            config.angle_scatter,
+        ),
+    }[quantity]
+    deviation = (deviation + np.pi) % (2 * np.pi) - np.pi
+    # Four standard errors of a mean and of a standard deviation of normal samples.
+    assert abs(deviation.mean()) < 4 * sd / math.sqrt(THROWS)
+    assert abs(deviation.std(ddof=1) / sd - 1.0) < 4 / math.sqrt(2 * (THROWS - 1))
+
+
+def test_aim_points_and_release_times_fill_their_ranges() -> None:
+    config, generator = ThrowerConfig(), rng(3)
+    throws = [draw_throw(config, BALL, index, generator) for index in range(THROWS)]
+    offset = np.array([throw.aim_point for throw in throws]) - config.aim_center
+    release = np.array([throw.release_time for throw in throws])
+    spread = np.array(config.aim_spread)
+    assert (np.abs(offset) <= spread).all()
+    assert ((config.hold_time[0] <= release) & (release <= config.hold_time[1])).all()
+    # That a tenth of the range stays empty at a given end has a chance of 0.9^100 = 3e-5.
+    assert (np.ptp(offset, axis=0) > 0.8 * 2 * spread).all()
+    assert np.ptp(release) > 0.8 * (config.hold_time[1] - config.hold_time[0])
+
+
+def test_hold_time_that_is_no_range_is_refused() -> None:
+    with pytest.raises(ValueError, match="is not \\(shortest, longest\\)"):
+        ThrowerConfig(hold_time=(0.2, 0.1))

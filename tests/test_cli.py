@@ -1,0 +1,215 @@
+"""The command line: every mistake ends in one line and exit code 2, and Ctrl-C keeps what is done."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from imolo import registry
+from imolo.channels import TRIAL
+from imolo.cli import main
+from imolo.log import read_log
+
+IMOLO = Path(sys.executable).with_name("imolo")
+BACKENDS = ("dart", "mujoco", "pybullet")
+COMMANDS = ("backends", "compare", "learn", "hit")
+GOOD = "backend: {name: mujoco}\n"
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Run `imolo` in this process and in an empty folder; returns exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def run_it(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["imolo", *map(str, arguments)])
+        try:
+            main()
+            code: object = 0
+        except SystemExit as ended:
+            code = ended.code or 0
+        captured = capsys.readouterr()
+        assert isinstance(code, int)
+        return code, captured.out, captured.err
+
+    return run_it
+
+
+def is_one_line_about(errors: str, *parts: str) -> bool:
+    return (
+        errors.startswith("imolo: ")
+        and errors.count("\n") == 1
+        and errors.endswith("\n")
+        and "Traceback" not in errors
+        and all(part in errors for part in parts)
+    )
+
+
+def test_backends_lists_every_engine_as_ready(run: Run) -> None:
+    code, output, errors = run("backends")
+    assert (code, errors) == (0, "")
+    for name in BACKENDS:
+        assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_explains_it(run: Run, command: str) -> None:
+    code, output, _ = run(command, "--help")
+    assert code == 0
+    assert f"Usage: imolo {command}" in output
+
+
+def test_help_names_every_command(run: Run) -> None:
+    code, output, _ = run("--help")
+    assert code == 0
+    assert {line.split()[0] for line in output.partition("Commands:")[2].splitlines() if line.strip()} >= set(COMMANDS)
+
+
+def test_unknown_command_is_refused_with_the_nearest_name(run: Run) -> None:
+    code, _, errors = run("compre")
+    assert code == 2
+    assert "compare" in errors
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ("holds no settings",)),
+        (GOOD + "sed: 1\n", ("unknown key 'sed'", "did you mean 'seed'?")),
+        (GOOD + "seed: x\n", ("'seed' is 'x'",)),
+        (GOOD + "training: {motions: []}\n", ("training.motions", "at least 1 item")),
+        ("backend: [\n", ("is not YAML",)),
+        ("backend: {name: mujco}\n", ("unknown backend 'mujco'", "did you mean 'mujoco'?")),
+        ("backend: {name: mujoco, itegrator: 1}\n", ("unknown key 'itegrator'", "did you mean 'integrator'?")),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "learn"])
+def test_mistake_in_a_config_ends_in_one_line(run: Run, command: str, text: str, parts: tuple[str, ...]) -> None:
+    Path("experiment.yaml").write_text(text, encoding="utf-8")
+    code, output, errors = run(command, "experiment.yaml")
+    assert (code, output) == (2, "")
+    assert is_one_line_about(errors, *parts)
+
+
+def test_line_of_an_error_is_not_broken_where_the_terminal_ends(run: Run) -> None:
+    path = "a_long_name/" * 12 + "experiment.yaml"
+    code, _, errors = run("compare", path)
+    assert code == 2
+    assert is_one_line_about(errors, path, "No such file")
+
+
+def test_backend_named_twice_ends_in_one_line(run: Run) -> None:
+    Path("one.yaml").write_text(GOOD, encoding="utf-8")
+    code, _, errors = run("compare", "one.yaml", "one.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "mujoco")
+
+
+@pytest.mark.parametrize("command", ["compare", "learn"])
+def test_results_folder_that_cannot_be_written_ends_in_one_line(run: Run, command: str) -> None:
+    Path("experiment.yaml").write_text(GOOD, encoding="utf-8")
+    Path("file").write_text("in the way", encoding="utf-8")
+    code, _, errors = run(command, "experiment.yaml", "--out", "file/results")
+    assert code == 2
+    assert is_one_line_about(errors, "cannot write results to file/results", "choose another --out")
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"), [(None, ("table.npz",)), (b"no table", ("table.npz",)), (b"", ("table.npz",))]
+)
+def test_table_that_cannot_be_read_ends_in_one_line(run: Run, content: bytes | None, parts: tuple[str, ...]) -> None:
+    Path("experiment.yaml").write_text(GOOD, encoding="utf-8")
+    if content is not None:
+        Path("table.npz").write_bytes(content)
+    code, _, errors = run("hit", "experiment.yaml", "table.npz")
+    assert code == 2
+    assert is_one_line_about(errors, *parts)
+
+
+def test_unknown_method_ends_in_one_line_with_the_nearest_name(run: Run) -> None:
+    Path("experiment.yaml").write_text(GOOD, encoding="utf-8")
+    code, _, errors = run("hit", "experiment.yaml", "table.npz", "--method", "papr")
+    assert code == 2
+    assert is_one_line_about(errors, "unknown method 'papr'", "did you mean 'paper'?")
+
+
+@pytest.fixture
+def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make Python find no PyBullet, as where the extra was not installed."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    monkeypatch.delitem(sys.modules, "imolo_backends.pybullet_engine", raising=False)
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> None:
+    Path("experiment.yaml").write_text("backend: {name: pybullet}\n", encoding="utf-8")
+    code, _, errors = run("compare", "experiment.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "backend 'pybullet' cannot be used", "pip install 'imolo[pybullet]'")
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_missing_extra_leaves_the_other_backends_ready() -> None:
+    status = {name: registry.backend_status(name) for name in BACKENDS}
+    assert status["pybullet"].plugin is None
+    assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
+    assert (status["mujoco"].problem, status["dart"].problem) == ("", "")
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_backends_says_that_an_engine_is_missing(run: Run) -> None:
+    code, output, _ = run("backends")
+    assert code == 0
+    assert re.search(r"^pybullet +missing ", output, flags=re.MULTILINE)
+    assert re.search(r"^mujoco +ready ", output, flags=re.MULTILINE)
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_backends_says_how_to_get_a_missing_engine(run: Run) -> None:
+    _, output, _ = run("backends")
+    assert "pip install 'imolo[pybullet]'" in " ".join(output.split())
+
+
+def logs(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.lcmlog"))
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_ctrl_c_keeps_the_logs_and_ends_in_one_line(tmp_path: Path, jobs: int) -> None:
+    (tmp_path / "experiment.yaml").write_text(GOOD, encoding="utf-8")
+    process = subprocess.Popen(
+        [IMOLO, "compare", "experiment.yaml", "--out", "results", "--jobs", str(jobs)],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A terminal sends Ctrl-C to the whole process group, the workers included.
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + 60.0
+        # With one log more than there are processes, one is whole.
+        while len(logs(tmp_path)) <= jobs and process.poll() is None and time.monotonic() < deadline:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(0.02)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    kept = logs(tmp_path)
+    assert is_one_line_about(errors, "interrupted", f"{len(kept)} logs", "kept in results")
+    assert len(kept) > jobs
+    # What was cut off can be read up to where it was cut.
+    ends = [[event.event for event in read_log(path).messages[TRIAL]][-1:] for path in kept]
+    assert ["end"] in ends
