@@ -84,12 +84,14 @@ def _draw_paths(row: Sequence[Axes], logs: Sequence[Log], config: ExperimentConf
     row[1].plot(training[:, 0], training[:, 2], ".", ms=2.5, color=TRAINING_COLOR)
     row[2].plot(training[:, 1], training[:, 2], ".", ms=2.5, color=TRAINING_COLOR)
     for log in logs:
-        hit = next((e.utime * 1e-6 for e in log.messages[channels.TRIAL] if e.event == EventName.HIT), None)
+        times = {event.event: event.utime * 1e-6 for event in log.messages[channels.TRIAL]}
+        plan = last_plan(log)
+        hit = times.get(EventName.HIT) if plan is not None else None
+        end = hit if hit is not None else times.get(EventName.BALL_LANDED, np.inf)
         color = MISS_COLOR if hit is None else "#333333"
-        states = [s for s in log.messages[channels.BALL_STATE] if hit is None or s.utime * 1e-6 <= hit]
+        states = [s for s in log.messages[channels.BALL_STATE] if s.utime * 1e-6 <= end]
         ball = np.array([s.ball_position for s in states]).reshape(-1, 3)
         row[0].plot(ball[:, 0], ball[:, 2], "-", lw=0.7, color=color, alpha=0.8)
-        plan = last_plan(log)
         if hit is None or plan is None:
             continue
         row[0].plot(*ball[-1, [0, 2]], "o", ms=4.5, mec=HIT_COLOR, mfc="none")
