@@ -68,7 +68,9 @@ class PybulletEngine:
             raise
         self._links_without_base = [self._link_index[name] for name in scene.link_names[1:]]
         self._contacts: list[BallContact] = []
-        self._motion: tuple[Array, Array, Array] | None = None
+        joints = len(scene.joint_names)
+        self._motion = np.zeros(joints), np.zeros(joints), np.zeros(3)
+        self._motion_is_old = True
         self._steps = 0
 
     def _load(self, options: PybulletOptions) -> None:
@@ -188,7 +190,7 @@ class PybulletEngine:
             pybullet.applyExternalForce(ball, BASE, force, center, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
         self._steps += 1
-        self._motion = None
+        self._motion_is_old = True
         points = pybullet.getContactPoints(ball, physicsClientId=client)
         if points:
             time = self._steps * self._scene.timestep
@@ -198,13 +200,15 @@ class PybulletEngine:
 
     def motion(self) -> tuple[Array, Array, Array]:
         """See `Engine.motion`."""
-        if self._motion is None:
+        angle, velocity, ball_velocity = self._motion
+        if self._motion_is_old:
             client = self._client
-            angle, velocity = (), ()
             if self._joints:
-                angle, velocity, _, _ = zip(*pybullet.getJointStates(self._robot, self._joints, client), strict=True)
-            ball_velocity, _ = pybullet.getBaseVelocity(self._ball, client)
-            self._motion = np.array(angle), np.array(velocity), np.array(ball_velocity)
+                angle[:], velocity[:], _, _ = zip(
+                    *pybullet.getJointStates(self._robot, self._joints, client), strict=True
+                )
+            ball_velocity[:], _ = pybullet.getBaseVelocity(self._ball, client)
+            self._motion_is_old = False
         return self._motion
 
     def read(self) -> EngineState:
