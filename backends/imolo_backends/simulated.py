@@ -32,6 +32,7 @@ from imolo_backends.liberobot import (
 )
 from imolo_backends.mocap import Mocap
 from imolo_backends.plant import Plant
+from imolo_backends.start_up import check_start_up
 from imolo_backends.thrower import GRAVITY, draw_throw
 from imolo_backends.valve_schedule import ValveSchedule
 from imolo_msgs import trial_event_t, truth_ball_t, truth_robot_t, valve_command_t, valve_pressure_t
@@ -101,6 +102,7 @@ class SimulatedBackend:
             sole=config.sole,
             joint_offset=disturbance.joint_angle,
         )
+        check_start_up(self._engine_class, self._options, config.timestep)
         self._engine = self._engine_class(scene, self._options)
         self._plant = Plant(
             config.pneumatics,
