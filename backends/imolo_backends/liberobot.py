@@ -48,7 +48,6 @@ LEG_JOINTS = (("right_hip", "right_knee", "right_ankle"), ("left_hip", "left_kne
 
 # The legs rest at the ends of their range (Sec. VII-A); arms down is assumed, since valve 8 lowers them.
 READY_JOINT_ANGLE = tuple(np.radians([150.0, 150.0, 45.0, 150.0, 150.0, 45.0, 0.0, 0.0]).tolist())  # [rad]
-READY_TRUNK_PITCH = float(np.radians(45.0))  # [rad] lean forward, derived: it makes the feet level
 HAND_OFFSET = (0.0, 0.0, -0.35)  # [m] centre of the plate in the arm frame, derived from Sec. V-A
 TOE_OFFSET = (0.150, 0.0, 0.0)  # [m] front end of the 211 mm foot in the foot frame, assumed
 SOLE_RADIUS = 0.048  # [m] Sec. V-A; the foot frame is this high above the ground

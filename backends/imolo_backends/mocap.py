@@ -9,7 +9,6 @@ from imolo_backends.engine import Array, EngineState
 from imolo_backends.liberobot import MARKERS
 from imolo_msgs import marker_t, mocap_frame_t
 
-UNLABELLED = -1
 GHOST_DISTANCE = 3.0  # [m] from the trunk along each axis at most, assumed: the capture volume
 
 
@@ -43,17 +42,19 @@ class Mocap:
             return
         robot = (self.true_markers(state) + config.marker_noise * normal[:count]).tolist()
         markers = [
-            _marker(marker.marker_id if label_chance >= config.unlabelled else UNLABELLED, position)
+            _marker(marker.marker_id if label_chance >= config.unlabelled else marker_t.UNLABELLED, position)
             for marker, position, seen_chance, label_chance in zip(
                 MARKERS, robot, chance[:count], chance[count : 2 * count], strict=True
             )
             if seen_chance >= config.marker_dropout
         ]
         if ball_chance >= config.ball_dropout:
-            markers.append(_marker(UNLABELLED, (state.ball_position + config.ball_noise * normal[count]).tolist()))
+            markers.append(
+                _marker(marker_t.UNLABELLED, (state.ball_position + config.ball_noise * normal[count]).tolist())
+            )
         if ghost_chance < config.ghost:
             ghost = state.link_position[0] + GHOST_DISTANCE * (2.0 * np.array(ghost_place) - 1.0)
-            markers.append(_marker(UNLABELLED, ghost.tolist()))
+            markers.append(_marker(marker_t.UNLABELLED, ghost.tolist()))
         frame = mocap_frame_t()
         frame.utime = utime
         frame.frame_number = self._frame_number

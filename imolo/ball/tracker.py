@@ -13,13 +13,12 @@ from scipy.stats import chi2
 
 from imolo.ball.model import LinearBallModel
 from imolo.config.model import Model, NonNegative, Positive
-from imolo_msgs import ball_state_t, mocap_frame_t
+from imolo_msgs import ball_state_t, marker_t, mocap_frame_t
 
 Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-UNLABELLED = -1  # `marker_t.marker_id` of a marker that belongs to no body
 UNKNOWN_VELOCITY = 10.0  # [m/s] standard deviation of a velocity that was not estimated, assumed: faster than any throw
 
 
@@ -184,7 +183,7 @@ class BallTracker:
     def _read(self, frame: mocap_frame_t) -> Array:
         """Note where the robot is and return the unlabelled markers [m], shape (M, 3)."""
         position = np.array([marker.marker_position for marker in frame.markers], dtype=float).reshape(-1, 3)
-        labelled = np.array([marker.marker_id != UNLABELLED for marker in frame.markers], dtype=bool)
+        labelled = np.array([marker.marker_id != marker_t.UNLABELLED for marker in frame.markers], dtype=bool)
         finite = np.isfinite(position).all(axis=1)
         if not finite.all():
             self.counters.invalid_markers += int(np.sum(~finite))

@@ -6,12 +6,11 @@ from scipy.interpolate import CubicSpline
 
 from imolo import channels
 from imolo.ball.flight import Flight, free_flight
-from imolo.ball.tracker import UNLABELLED
 from imolo.config.experiment import RobotConfig, TrainingConfig
 from imolo.errors import TrainingDataError
 from imolo.log import Log
 from imolo.method.forward_model import TrainingData
-from imolo_msgs import mocap_frame_t, plan_t
+from imolo_msgs import marker_t, mocap_frame_t, plan_t
 
 Array = NDArray[np.float64]
 
@@ -109,7 +108,7 @@ def longest_unlabelled_track(log: Log) -> tuple[Array, Array]:
     tracks: list[tuple[list[float], list[Array]]] = []
     for frame in log.messages[channels.MOCAP]:
         time = frame.utime * 1e-6
-        unclaimed = [np.array(m.marker_position) for m in frame.markers if m.marker_id == UNLABELLED]
+        unclaimed = [np.array(m.marker_position) for m in frame.markers if m.marker_id == marker_t.UNLABELLED]
         for times, positions in sorted(tracks, key=lambda track: -len(track[0])):
             gap = time - times[-1]
             if not unclaimed or gap > LINK_TIME:
@@ -130,7 +129,8 @@ def longest_unlabelled_track(log: Log) -> tuple[Array, Array]:
 
 def nearest_unlabelled(frame: mocap_frame_t, position: Array, within: float = 0.05) -> Array | None:
     """Return the unlabelled marker of a frame nearest to a position [m], shape (3,); None if none is `within` [m]."""
-    candidates = np.array([m.marker_position for m in frame.markers if m.marker_id == UNLABELLED]).reshape(-1, 3)
+    unlabelled = [m.marker_position for m in frame.markers if m.marker_id == marker_t.UNLABELLED]
+    candidates = np.array(unlabelled).reshape(-1, 3)
     distances = np.linalg.norm(candidates - position, axis=1)
     if not len(distances) or not distances.min() <= within:
         return None

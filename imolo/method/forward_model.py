@@ -6,9 +6,10 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, JsonValue, model_validator
+from pydantic import Field, JsonValue, model_validator
 from sklearn.base import clone
 
+from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
 
@@ -54,7 +55,7 @@ class TrainingData:
             )
 
 
-class ForwardModelConfig(BaseModel):
+class ForwardModelConfig(Model):
     """Which regression approximates f and what it is fed; `PAPER_SVR`, `GPR` and `MLP` are ready-made.
 
     Attributes:
@@ -66,10 +67,8 @@ class ForwardModelConfig(BaseModel):
         time: Third input: the time since the onset as in Eq. 2, or since the swing, t - t_w.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     estimator: str = "SVR"
-    parameters: dict[str, JsonValue] = {"C": 0.1427, "epsilon": 0.0143, "gamma": 1.0}
+    parameters: dict[str, JsonValue] = Field({"C": 0.1427, "epsilon": 0.0143, "gamma": 1.0})
     inputs: Literal["raw", "standardized"] = "raw"
     outputs: Literal["raw", "standardized"] = "raw"
     time: Literal["since_onset", "since_swing"] = "since_onset"

@@ -12,8 +12,9 @@ from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from imolo.config.model import Model
 from imolo.errors import ConfigError, MessageError
 from imolo_msgs import valve_command_t
 
@@ -199,7 +200,7 @@ def _same_target(a: Array | None, b: Array | None) -> bool:
     return np.array_equal(a, b)
 
 
-class MotionTemplate(BaseModel):
+class MotionTemplate(Model):
     """Everything of U that theta does not change; the defaults are Table II.
 
     Attributes:
@@ -211,8 +212,6 @@ class MotionTemplate(BaseModel):
         fixed_switch_time: Ends of the other phases than w in their order, since the onset [s], shape (P - 1,).
         k_range: Lowest and highest k [-] (Sec. VII-B).
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     u_m: _Pressures = (0.5e5, 2.5e5, 0.2e5, 0.5e5, 2.5e5, 0.2e5, 0.0, 0.5e5)
     u_k: _PressureSteps = (0.0, 1.5e5, 0.0, 0.0, -1.5e5, 0.0, 0.0, 0.0)

@@ -1,6 +1,5 @@
 """The planner: from a mocap frame to commands, by the lookup table (Sec. IV, Fig. 3)."""
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +23,6 @@ from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
 Array = NDArray[np.float64]
 
 NEVER = 2**63 - 1  # [us]
-logger = logging.getLogger(__name__)
 
 
 class PlannerConfig(Model):

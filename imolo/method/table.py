@@ -8,8 +8,9 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from imolo.config.model import Model
 from imolo.errors import ConfigError, ImoloError, TableFileError
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig, TrainingData
 from imolo.method.motion import MotionTemplate, Theta, to_microseconds
@@ -22,10 +23,8 @@ Indices = NDArray[np.int64]
 MAX_CELLS = 20_000_000  # 160 MB of cell starts; the paper's table has some 10^5 cells
 
 
-class GridAxis(BaseModel):
+class GridAxis(Model):
     """Evenly spaced values from start on, none beyond stop."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     start: float
     stop: float
@@ -43,7 +42,7 @@ class GridAxis(BaseModel):
         return np.round(self.start + self.step * np.arange(count), 9)
 
 
-class TableGrid(BaseModel):
+class TableGrid(Model):
     """What is predicted and how finely it is stored; the defaults are those of Sec. VII-B.
 
     Attributes:
@@ -57,8 +56,6 @@ class TableGrid(BaseModel):
         match: Which queries belong to a grid point: "sphere", those nearer than half the spacing as in Sec. IV-A, which
             leaves out 48 % of space; "cell", all that are nearest to it.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     t_w: GridAxis = GridAxis(start=0.21, stop=0.41, step=0.002)
     k: GridAxis = GridAxis(start=-1.0, stop=1.0, step=0.0133)

@@ -15,10 +15,12 @@ class marker_t(object):
 
     __dimensions__ = [None, [3]]
 
+    UNLABELLED = -1
+
     def __init__(self):
         self.marker_id = 0
         """
-        Label of the marker; -1 for an unlabelled one, such as the ball.
+        Label of the marker; UNLABELLED for one that belongs to no body, such as the ball.
         LCM Type: int32_t
         """
 

@@ -21,7 +21,6 @@ from imolo_backends.liberobot import (
     JOINT_NAMES,
     LINK_NAMES,
     MARKERS,
-    READY_TRUNK_PITCH,
     SOLE_RADIUS,
     TOE_OFFSET,
     TOE_TO_EDGE,
@@ -130,7 +129,7 @@ def test_the_ready_pose_stands_on_the_box_behind_its_edge() -> None:
         position, rotation = where[foot]
         assert rotation == pytest.approx(np.eye(3), abs=1e-12)
         assert (position + rotation @ TOE_OFFSET)[0] == pytest.approx(-TOE_TO_EDGE)
-    assert 2.0 * np.arctan2(scene.base_quaternion[2], scene.base_quaternion[0]) == pytest.approx(READY_TRUNK_PITCH)
+    assert 2.0 * np.arctan2(scene.base_quaternion[2], scene.base_quaternion[0]) == pytest.approx(np.radians(45.0))
     (box,) = scene.boxes
     assert box.center[0] + box.half_extents[0] == pytest.approx(0.0)
     assert box.center[2] + box.half_extents[2] == pytest.approx(BOX_HEIGHT)

@@ -11,12 +11,11 @@ from trials import config, event, mocap, plan
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.ball.tracker import UNLABELLED
 from imolo.errors import TrainingDataError
 from imolo.experiment.metrics import HORIZONS, Statistic, TrialResult, judge_campaign, judge_trial, wilson_interval
 from imolo.experiment.recordings import hand_at, hand_samples, last_plan, merge
 from imolo.log import Log
-from imolo_msgs import ball_state_t, plan_t
+from imolo_msgs import ball_state_t, marker_t, plan_t
 
 CONFIG = config("mujoco")
 HAND = CONFIG.robot.hand_marker
@@ -40,7 +39,7 @@ def made_log(*, swings: bool = True, touched: bool = True, landed: bool = True, 
     for number in range(1, 120):
         utime = PERIOD * number
         ball = BALL + BALL_VELOCITY * utime * 1e-6
-        frame = mocap(utime, number, (HAND, START + VELOCITY * utime * 1e-6), (UNLABELLED, ball))
+        frame = mocap(utime, number, (HAND, START + VELOCITY * utime * 1e-6), (marker_t.UNLABELLED, ball))
         log.messages[channels.MOCAP].append(frame)
         state = ball_state_t()
         state.utime, state.ball_position = utime, ball.tolist()

@@ -12,7 +12,6 @@ from trials import BACKENDS, config, event, mocap, play
 from imolo import channels
 from imolo.backend import EventName, TrialKind
 from imolo.ball.model import LinearBallModel
-from imolo.ball.tracker import UNLABELLED
 from imolo.bus import Bus
 from imolo.errors import TableFileError
 from imolo.experiment.campaign import learning_tasks, run_tasks
@@ -23,7 +22,7 @@ from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.motion import Commands
 from imolo.method.planner import Planner, PlannerConfig
 from imolo.method.table import GridAxis, LookupTable, TableGrid
-from imolo_msgs import plan_t
+from imolo_msgs import marker_t, plan_t
 
 CONFIG = config("mujoco")
 FEW_THROWS = CONFIG.model_copy(update={"campaign": CONFIG.campaign.model_copy(update={"learning_throws": 4})})
@@ -180,7 +179,7 @@ def answers(planner: Planner, *frames: object) -> tuple[list[plan_t], int]:
 NOWHERE = (float("nan"), float("inf"), 1.0)
 
 
-@pytest.mark.parametrize("label", [6, UNLABELLED])
+@pytest.mark.parametrize("label", [6, marker_t.UNLABELLED])
 def test_marker_that_is_not_a_number_neither_stops_nor_moves_the_planner(learned: Learned, label: int) -> None:
     frames = [mocap(8333 * n, n, (0, (0.0, 0.0, 1.0)), (label, NOWHERE)) for n in range(1, 30)]
     plans, commands = answers(learned.planner(), *frames)
@@ -205,7 +204,7 @@ def test_nan_in_the_middle_of_a_flight_does_not_stop_the_motion(learned: Learned
     frames = hit.messages[channels.MOCAP]
     broken = [mocap(f.utime, f.frame_number, *((m.marker_id, m.marker_position) for m in f.markers)) for f in frames]
     for frame in broken:
-        frame.markers.append(mocap(0, 0, (UNLABELLED, NOWHERE)).markers[0])
+        frame.markers.append(mocap(0, 0, (marker_t.UNLABELLED, NOWHERE)).markers[0])
         frame.num_markers += 1
     clean, _ = answers(learned.planner(), *frames)
     plans, _ = answers(learned.planner(), *broken)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from imolo.config.simulation import MocapConfig
 from imolo_backends.engine import EngineState
 from imolo_backends.liberobot import LINK_NAMES, MARKERS
-from imolo_backends.mocap import UNLABELLED, Mocap
-from imolo_msgs import mocap_frame_t
+from imolo_backends.mocap import Mocap
+from imolo_msgs import marker_t, mocap_frame_t
 
 Array = NDArray[np.float64]
 
@@ -44,11 +44,11 @@ def record(seed: int = 0, frames: int = FRAMES, **faults: Any) -> list[mocap_fra
 
 
 def labelled(frame: mocap_frame_t) -> dict[int, tuple[float, ...]]:
-    return {m.marker_id: tuple(m.marker_position) for m in frame.markers if m.marker_id != UNLABELLED}
+    return {m.marker_id: tuple(m.marker_position) for m in frame.markers if m.marker_id != marker_t.UNLABELLED}
 
 
 def unlabelled(frame: mocap_frame_t) -> list[tuple[float, ...]]:
-    return [tuple(m.marker_position) for m in frame.markers if m.marker_id == UNLABELLED]
+    return [tuple(m.marker_position) for m in frame.markers if m.marker_id == marker_t.UNLABELLED]
 
 
 def is_share(count: int, total: int, probability: float) -> bool:
@@ -123,7 +123,7 @@ def test_marker_without_a_label_is_still_seen() -> None:
     frames = record(unlabelled=0.05)
     assert is_share(sum(len(MARKERS) - len(labelled(frame)) for frame in frames), FRAMES * len(MARKERS), 0.05)
     assert all(frame.num_markers == len(MARKERS) + 1 for frame in frames)
-    assert UNLABELLED == -1
+    assert marker_t.UNLABELLED == -1
 
 
 def test_share_of_frames_with_a_ghost_is_as_configured() -> None:
