@@ -41,7 +41,7 @@ CHANNELS: dict[str, Channel] = {
         Channel(BALL_STATE, imolo_msgs.ball_state_t, "every mocap frame with a flying ball", "planner"),
         Channel(PLAN, imolo_msgs.plan_t, "every mocap frame", "planner"),
         Channel(TRIAL, imolo_msgs.trial_event_t, "events", "runner, backend"),
-        Channel(TRUTH_ROBOT, imolo_msgs.truth_robot_t, "250 Hz (config)", "simulated backend"),
-        Channel(TRUTH_BALL, imolo_msgs.truth_ball_t, "250 Hz (config)", "simulated backend"),
+        Channel(TRUTH_ROBOT, imolo_msgs.truth_robot_t, "240 Hz (config)", "simulated backend"),
+        Channel(TRUTH_BALL, imolo_msgs.truth_ball_t, "240 Hz (config)", "simulated backend"),
     )
 }

@@ -29,6 +29,7 @@ BASE = -1
 BODY_RESTITUTION = 1e-4
 # [rad/s, m/s] Bullet clamps every joint velocity at 100, the spin of a rolling ball among them.
 VELOCITY_LIMIT = 1e6
+UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin; 1e-7 N would do more
 # Compiled, since NumPy would take 20 µs at every `read`.
 ROTATION_MATRICES = njit(cache=True)(rotation_matrices)
 
@@ -71,6 +72,9 @@ class PybulletEngine:
         joints = len(scene.joint_names)
         self._motion = np.zeros(joints), np.zeros(joints), np.zeros(3)
         self._motion_is_old = True
+        self._ball_velocity: tuple[float, float, float] = scene.ball.velocity
+        self._gain = scene.timestep / scene.ball.mass  # [s/kg]
+        self._fall = scene.gravity * scene.timestep  # [m/s] in a step
         self._steps = 0
 
     def _load(self, options: PybulletOptions) -> None:
@@ -191,12 +195,23 @@ class PybulletEngine:
         pybullet.stepSimulation(client)
         self._steps += 1
         self._motion_is_old = True
-        points = pybullet.getContactPoints(ball, physicsClientId=client)
-        if points:
-            time = self._steps * self._scene.timestep
-            # bodyA is the ball; 2 and 4 are bodyB and its link, 5 the position on the ball, 9 the normal force.
-            touches = [(self._names[p[2], p[4]], p[5], p[9]) for p in points]
-            self._contacts += merge_touches(time, touches)
+        before = self._ball_velocity
+        self._ball_velocity = after = pybullet.getBaseVelocity(ball, client)[0]
+        # What touches the ball adds to what force and gravity do; looking for contacts at every step would cost more.
+        gain = self._gain
+        touched = (
+            abs(after[0] - before[0] - force[0] * gain)
+            + abs(after[1] - before[1] - force[1] * gain)
+            + abs(after[2] - before[2] - force[2] * gain - self._fall)
+        )
+        if touched > UNTOUCHED:
+            self._collect_contacts()
+
+    def _collect_contacts(self) -> None:
+        # bodyA is the ball; 2 and 4 are bodyB and its link, 5 the position on the ball, 9 the normal force.
+        points = pybullet.getContactPoints(self._ball, physicsClientId=self._client)
+        touches = [(self._names[p[2], p[4]], p[5], p[9]) for p in points]
+        self._contacts += merge_touches(self._steps * self._scene.timestep, touches)
 
     def motion(self) -> tuple[Array, Array, Array]:
         """See `Engine.motion`."""
@@ -207,7 +222,7 @@ class PybulletEngine:
                 angle[:], velocity[:], _, _ = zip(
                     *pybullet.getJointStates(self._robot, self._joints, client), strict=True
                 )
-            ball_velocity[:], _ = pybullet.getBaseVelocity(self._ball, client)
+            ball_velocity[:] = self._ball_velocity
             self._motion_is_old = False
         return self._motion
 

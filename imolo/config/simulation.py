@@ -154,7 +154,7 @@ class SimulationConfig(Model):
     sole: Literal["semicircular", "flat"] = Field("semicircular", description="Sec. V-A")
     pressure_rate: Positive = Field(1000.0, description="of VALVE_PRESSURE [Hz]")
     truth_rate: Positive = Field(
-        250.0, description="of TRUTH_ROBOT and TRUTH_BALL [Hz]; events have times of their own"
+        240.0, description="of TRUTH_ROBOT and TRUTH_BALL [Hz]; at 120 Hz every mocap frame has its truth"
     )
     pressure_noise: NonNegative = Field(1.0e3, description="sd of a pressure sensor [Pa], assumed: 0.1 % of full scale")
     pneumatics: PneumaticsConfig = PneumaticsConfig()
