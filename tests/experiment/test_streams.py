@@ -4,6 +4,7 @@ from itertools import pairwise
 from math import ceil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from trials import BACKENDS, COARSE, Commander, command, config, events, play, play_motion, quiet
 
@@ -52,17 +53,24 @@ def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
 
 
 @pytest.mark.parametrize(
-    ("channel", "period"),
+    ("channel", "rate"),
     [
-        (channels.VALVE_PRESSURE, round(1e6 / RATES.pressure_rate)),
-        (channels.TRUTH_ROBOT, round(1e6 / RATES.truth_rate)),
-        (channels.TRUTH_BALL, round(1e6 / RATES.truth_rate)),
+        (channels.VALVE_PRESSURE, RATES.pressure_rate),
+        (channels.TRUTH_ROBOT, RATES.truth_rate),
+        (channels.TRUTH_BALL, RATES.truth_rate),
     ],
 )
-def test_pressures_and_truth_come_at_their_rates(training: Log, channel: str, period: int) -> None:
+def test_pressures_and_truth_come_at_their_rates(training: Log, channel: str, rate: float) -> None:
     utimes = [message.utime for message in training.messages[channel]]
-    assert utimes == list(range(period, 300_000 + 1, period))
+    # On the first step after each instant.
+    instants = np.arange(1, int(0.3 * rate + 1e-6) + 1) / rate
+    assert utimes == [STEP * ceil(instant / COARSE - 1e-6) for instant in instants]
     assert training.received[channel] == utimes
+
+
+def test_every_mocap_frame_has_its_truth(training: Log) -> None:
+    truth = {message.utime for message in training.messages[channels.TRUTH_ROBOT]}
+    assert {frame.utime for frame in training.messages[channels.MOCAP]} <= truth
 
 
 def test_pressures_are_numbered_without_a_gap(training: Log) -> None:
