@@ -54,6 +54,15 @@ class PneumaticsConfig(Model):
     )
     max_substep: Annotated[float, Field(gt=0, le=1e-4)] = Field(1e-4, description="longest integration step [s]")
 
+    @model_validator(mode="after")
+    def _valve_is_slower_than_a_substep(self) -> Self:
+        if self.valve_time_constant < self.max_substep:
+            raise ValueError(
+                f"valve_time_constant {self.valve_time_constant:g} s cannot be integrated in substeps of "
+                f"{self.max_substep:g} s; give at least that much, or a smaller max_substep"
+            )
+        return self
+
 
 class ContactConfig(Model):
     """What the contacts are asked to be."""
@@ -150,7 +159,7 @@ NAMED_DISTURBANCES: dict[str, dict[str, float]] = {
 class SimulationConfig(Model):
     """Everything around the rigid bodies; a hardware backend does not read it."""
 
-    timestep: Positive = Field(1e-4, description="of the engine [s], Sec. VI")
+    timestep: Annotated[float, Field(gt=0, le=5e-3)] = Field(1e-4, description="of the engine [s], Sec. VI")
     sole: Literal["semicircular", "flat"] = Field("semicircular", description="Sec. V-A")
     pressure_rate: Positive = Field(1000.0, description="of VALVE_PRESSURE [Hz]")
     truth_rate: Positive = Field(
@@ -163,3 +172,11 @@ class SimulationConfig(Model):
     mocap: MocapConfig = MocapConfig()
     thrower: ThrowerConfig = ThrowerConfig()
     disturbance: DisturbanceConfig = DisturbanceConfig()
+
+    @model_validator(mode="after")
+    def _streams_are_slower_than_steps(self) -> Self:
+        rates = {"pressure_rate": self.pressure_rate, "truth_rate": self.truth_rate, "mocap.rate": self.mocap.rate}
+        for name, rate in rates.items():
+            if rate * self.timestep > 1.0 + 1e-9:
+                raise ValueError(f"{name} {rate:g} Hz is more than one message in a timestep of {self.timestep:g} s")
+        return self

@@ -106,6 +106,20 @@ def test_wrong_key_of_a_method_has_a_hint_too(tmp_path: Path) -> None:
         load(tmp_path, GOOD + "methods: {paper: {forward_modle: {}}}\n")
 
 
+@pytest.mark.parametrize(
+    ("simulation", "message"),
+    [
+        ("{timestep: 0.5}", "less than or equal to 0.005"),
+        ("{timestep: 2.0e-3}", "pressure_rate 1000 Hz is more than one message"),
+        ("{mocap: {rate: 20000}}", "mocap.rate 20000 Hz is more than one message"),
+        ("{pneumatics: {valve_time_constant: 5.0e-5}}", "valve_time_constant 5e-05 s cannot be integrated"),
+    ],
+)
+def test_steps_that_cannot_work_are_refused(tmp_path: Path, simulation: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, f"{GOOD}simulation: {simulation}\n")
+
+
 # Backends.
 
 
