@@ -97,9 +97,10 @@ def judge_trial(log: Log, config: ExperimentConfig) -> TrialResult:
     if not events:
         raise BusError(f"{log.path} holds no trial event; was it recorded by imolo?")
     plan = last_plan(log)
-    touched = any(event.event == EventName.HIT for event in events)
     # A ball that flies against the resting robot was not hit by it.
-    hit = touched and plan is not None
+    hit = plan is not None and any(
+        event.event == EventName.HIT and event.utime >= plan.plan_onset_utime for event in events
+    )
     outcome = "hit" if hit else "missed" if plan is not None else "no motion found"
     updates = sum(message.state == plan_t.UPDATED for message in log.messages[channels.PLAN])
     end_names = (EventName.HIT, EventName.BALL_LANDED)

@@ -73,6 +73,12 @@ def test_ball_counts_as_hit_if_a_moving_arm_touched_it(swings: bool, touched: bo
     assert result.theta == ((0.3, 0.33) if swings else None)
 
 
+def test_ball_that_touched_the_robot_before_the_onset_was_not_hit() -> None:
+    log = made_log()
+    next(e for e in log.messages[channels.TRIAL] if e.event == EventName.HIT).utime = ONSET - 1
+    assert judge_trial(log, CONFIG).outcome == "missed"
+
+
 def test_hand_error_is_the_distance_to_the_grid_point_when_it_counts() -> None:
     # A cubic through points of a straight line is that line, to rounding.
     assert judge_trial(made_log(), CONFIG).hand_error == pytest.approx(0.005, abs=1e-12)
