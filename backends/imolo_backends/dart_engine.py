@@ -52,7 +52,7 @@ class DartEngine:
         self._scene = scene
         world = self._world = dartpy.simulation.World()
         world.setTimeStep(scene.timestep)
-        world.setGravity([0.0, 0.0, scene.gravity])
+        world.setGravity(scene.gravity)
         sleep = world.getDeactivationOptions()
         sleep.mEnabled = False
         world.setDeactivationOptions(sleep)
@@ -189,7 +189,7 @@ class DartEngine:
             loaded[node.getName()] = (inertia.getMass(), inertia.getLocalCOM(), inertia.getMoment())
         check_links(robot, loaded)
         check_value("timestep [s]", world.getTimeStep(), scene.timestep)
-        check_value("gravity [m/s²]", world.getGravity(), (0.0, 0.0, scene.gravity))
+        check_value("gravity [m/s²]", world.getGravity(), scene.gravity)
         for number in range(world.getNumSkeletons()):
             for node in world.getSkeleton(number).getBodyNodes():
                 for shape in node.getShapeNodes():

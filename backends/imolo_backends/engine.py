@@ -50,7 +50,7 @@ class Scene:
         timestep: Length of one step [s].
         friction: Coulomb friction coefficient of every contact [-].
         restitution: Coefficient of restitution of the ball's contacts [-]; the robot's contacts do not bounce.
-        gravity: Acceleration along z [m/s²].
+        gravity: Acceleration of free fall [m/s²], shape (3,); tilted, it makes a ramp of the floor.
         fixed_base: Whether the base link is welded to the world.
         base_velocity: Velocity of the base link's origin at the start [m/s], shape (3,).
         base_angular_velocity: Angular velocity of the base link at the start, world axes [rad/s], shape (3,).
@@ -67,7 +67,7 @@ class Scene:
     timestep: float
     friction: float
     restitution: float
-    gravity: float = -9.81
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     fixed_base: bool = False
     base_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     base_angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -176,7 +176,7 @@ def _build(scene: Scene, options: MujocoOptions) -> Any:
     # Otherwise the base would become part of the world.
     spec.compiler.fusestatic = False
     spec.option.timestep = scene.timestep
-    spec.option.gravity = (0.0, 0.0, scene.gravity)
+    spec.option.gravity = scene.gravity
     spec.option.integrator = INTEGRATORS[options.integrator]
     spec.option.cone = CONES[options.cone]
     spec.option.impratio = options.impratio
@@ -238,7 +238,7 @@ def _check(model: Any, scene: Scene, robot: RobotModel) -> None:
         inertia[body.name] = turned_inertia(np.array([x, y, z, w]), body.inertia)
     check_links(robot, {body.name: (float(body.mass[0]), body.ipos, inertia[body.name]) for body in links})
     check_value("timestep [s]", model.opt.timestep, scene.timestep)
-    check_value("gravity [m/s²]", model.opt.gravity, (0.0, 0.0, scene.gravity))
+    check_value("gravity [m/s²]", model.opt.gravity, scene.gravity)
     check_value("friction of the shapes [-]", model.geom_friction[:, 0], np.full(model.ngeom, scene.friction))
     check_value(
         "damping and friction of the joints", [model.dof_damping, model.dof_frictionloss], np.zeros((2, model.nv))

@@ -74,7 +74,7 @@ class PybulletEngine:
         self._motion_is_old = True
         self._ball_velocity: tuple[float, float, float] = scene.ball.velocity
         self._gain = scene.timestep / scene.ball.mass  # [s/kg]
-        self._fall = scene.gravity * scene.timestep  # [m/s] in a step
+        self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
         self._steps = 0
 
     def _load(self, options: PybulletOptions) -> None:
@@ -91,7 +91,7 @@ class PybulletEngine:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        pybullet.setGravity(0.0, 0.0, scene.gravity, physicsClientId=client)
+        pybullet.setGravity(*scene.gravity, physicsClientId=client)
         flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE
         try:
             self._robot = pybullet.loadURDF(
@@ -198,11 +198,11 @@ class PybulletEngine:
         before = self._ball_velocity
         self._ball_velocity = after = pybullet.getBaseVelocity(ball, client)[0]
         # What touches the ball adds to what force and gravity do; looking for contacts at every step would cost more.
-        gain = self._gain
+        gain, fall = self._gain, self._fall
         touched = (
-            abs(after[0] - before[0] - force[0] * gain)
-            + abs(after[1] - before[1] - force[1] * gain)
-            + abs(after[2] - before[2] - force[2] * gain - self._fall)
+            abs(after[0] - before[0] - force[0] * gain - fall[0])
+            + abs(after[1] - before[1] - force[1] * gain - fall[1])
+            + abs(after[2] - before[2] - force[2] * gain - fall[2])
         )
         if touched > UNTOUCHED:
             self._collect_contacts()
@@ -278,7 +278,7 @@ class PybulletEngine:
         engine = pybullet.getPhysicsEngineParameters(physicsClientId=client)
         check_value("timestep [s]", engine["fixedTimeStep"], scene.timestep)
         gravity = [engine[f"gravityAcceleration{axis}"] for axis in "XYZ"]
-        check_value("gravity [m/s²]", gravity, (0.0, 0.0, scene.gravity))
+        check_value("gravity [m/s²]", gravity, scene.gravity)
         for name, index in zip(scene.joint_names, self._joints, strict=True):
             info = pybullet.getJointInfo(self._robot, index, physicsClientId=client)
             check_value(f"damping and friction of {name}", info[6:8], (0.0, 0.0))

@@ -37,7 +37,7 @@ def check_start_up(engine_class: type[Engine], options: Model, timestep: float) 
         angle, _, ball_velocity = (part.copy() for part in engine.motion())
     finally:
         engine.close()
-    expected = np.array([0.0, 0.0, scene.gravity * steps * timestep])
+    expected = np.array(scene.gravity) * steps * timestep
     # Every integrator gets a constant acceleration exactly right in the velocity, but for rounding in each step.
     name = engine_class.__name__
     if not np.allclose(ball_velocity, expected, rtol=0.0, atol=1e-9 * steps):

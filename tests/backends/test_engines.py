@@ -27,6 +27,7 @@ DT = 1e-4
 G = 9.81
 NO_TORQUE = np.zeros(8)
 NO_FORCE = np.zeros(3)
+WEIGHTLESS = (0.0, 0.0, 0.0)
 FAR_UP = (0.0, 0.0, 50.0)
 # Valve 8 at rest, .05 MPa, presses the legs into their stops (40 mm, reduction 2) and the arms down (25 mm).
 REST_TORQUE = np.array([3.3] * 6 + [-0.6] * 2)
@@ -116,7 +117,7 @@ def test_the_base_velocity_is_that_of_the_link_frame_in_world_axes(make_engine: 
     spin, velocity = np.array([1.0, -2.0, 3.0]), np.array([0.5, 0.2, -0.1])
     start = Rotation.from_euler("xyz", [0.4, -0.3, 0.8])
     x, y, z, w = start.as_quat()
-    scene = small_scene(tmp_path, BRICK, ("brick",), (), gravity=0.0, base_velocity=tuple(velocity))
+    scene = small_scene(tmp_path, BRICK, ("brick",), (), gravity=WEIGHTLESS, base_velocity=tuple(velocity))
     scene = replace(scene, base_angular_velocity=tuple(spin), base_quaternion=(w, x, y, z))
     state = run(make_engine(scene), DT, np.empty(0))
     turn = (Rotation.from_matrix(state.link_rotation[0]) * start.inv()).as_rotvec()
@@ -142,7 +143,7 @@ def test_torques_act_on_the_joints_of_their_names_in_their_directions(make_engin
     # joints or sign between torques and velocities would lose one or the other.
     response = []
     for torque in np.eye(8):
-        state = run(make_engine(flying(gravity=0.0)), DT, torque)
+        state = run(make_engine(flying(gravity=WEIGHTLESS)), DT, torque)
         response.append(state.joint_velocity / DT)
         assert state.joint_angle - flying().joint_angle == pytest.approx(state.joint_velocity * DT, abs=1e-12)
     assert np.array(response) == pytest.approx(np.transpose(response), rel=1e-6, abs=1e-6)
@@ -192,7 +193,7 @@ def test_motion_is_contiguous_and_read_is_a_copy(make_engine: Any) -> None:
 def test_joints_stop_at_their_limits(make_engine: Any, side: int) -> None:
     sign = 1.0 if side else -1.0
     start = JOINT_LIMITS[:, side] - sign * 0.1
-    engine = make_engine(flying(fixed_base=True, gravity=0.0, joint_angle=tuple(start.tolist())))
+    engine = make_engine(flying(fixed_base=True, gravity=WEIGHTLESS, joint_angle=tuple(start.tolist())))
     push = sign * np.array([5.0, 5.0, 1.0, 5.0, 5.0, 1.0, 0.5, 0.5])
     speed, inside = 0.0, np.full(8, np.inf)
     for _ in range(4000):
@@ -243,7 +244,7 @@ def test_the_mirrored_torques_give_the_mirrored_motion(make_engine: Any) -> None
     "offset", [(0.0, 0.0), (0.03, -0.12), (-0.03, -0.12)], ids=["middle", "left corner", "right corner"]
 )
 def test_a_fast_ball_does_not_pass_through_the_plate(make_engine: Any, offset: tuple[float, float]) -> None:
-    scene = flying(fixed_base=True, gravity=0.0, base_quaternion=(1.0, 0.0, 0.0, 0.0), joint_angle=(0.0,) * 8)
+    scene = flying(fixed_base=True, gravity=WEIGHTLESS, base_quaternion=(1.0, 0.0, 0.0, 0.0), joint_angle=(0.0,) * 8)
     hand = make_engine(scene).read().link_position[LINK_NAMES.index("right_arm")] + HAND_OFFSET
     ball = foam_ball(tuple(hand + np.array([0.2, *offset])), (-10.0, 0.0, 0.0))
     engine = make_engine(replace(scene, ball=ball))
@@ -257,7 +258,7 @@ def test_a_fast_ball_does_not_pass_through_the_plate(make_engine: Any, offset: t
     ("what", "where"), [("floor", (3.0, 0.0, 0.25)), ("box", (-0.4, 0.0, 0.65)), ("right_arm", None)]
 )
 def test_every_contact_of_the_ball_is_caught_between_two_reads(make_engine: Any, what: str, where: Any) -> None:
-    scene = flying(fixed_base=True, gravity=0.0, base_quaternion=(1.0, 0.0, 0.0, 0.0))
+    scene = flying(fixed_base=True, gravity=WEIGHTLESS, base_quaternion=(1.0, 0.0, 0.0, 0.0))
     if where is None:
         # The arm is raised to the front, its plate is level.
         scene = replace(scene, joint_angle=(0.0,) * 6 + (np.pi / 2,) * 2)
@@ -284,7 +285,7 @@ def test_every_contact_of_the_ball_is_caught_between_two_reads(make_engine: Any,
 @pytest.mark.parametrize("restitution", [0.3, 0.5, 0.8])
 def test_the_ball_bounces_as_asked(make_engine: Any, restitution: float) -> None:
     ball = foam_ball((3.0, 0.0, 0.2), (0.0, 0.0, -4.0))
-    engine = make_engine(ball_scene(ball, restitution=restitution, gravity=0.0))
+    engine = make_engine(ball_scene(ball, restitution=restitution, gravity=WEIGHTLESS))
     bounced = run(engine, 0.1).ball_velocity[2] / 4.0
     assert bounced == pytest.approx(restitution, abs=0.04)
 
@@ -309,7 +310,7 @@ def test_a_continuous_joint_on_a_fixed_base_is_a_pendulum(make_engine: Any, tmp_
 
 
 def test_the_robot_does_not_touch_itself(make_engine: Any, tmp_path: Path) -> None:
-    scene = small_scene(tmp_path, SCISSORS, ("base", "one", "two"), ("first", "second"), gravity=0.0, fixed_base=True)
+    scene = small_scene(tmp_path, SCISSORS, ("base", "one", "two"), ("first", "second"), gravity=WEIGHTLESS, fixed_base=True)
     # The two boxes overlap; without gravity and torque nothing may move.
     state = run(make_engine(scene), 0.05, np.zeros(2))
     assert np.abs(state.joint_velocity).max() < 1e-9
