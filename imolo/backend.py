@@ -1,6 +1,6 @@
 """What a backend is: a body, simulated or real, that speaks the LCM streams and is the only clock."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol
@@ -9,6 +9,7 @@ import numpy as np
 
 from imolo.bus import Bus
 from imolo.config.model import Model
+from imolo.conformance import Check, Limitation
 
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig
@@ -80,8 +81,12 @@ class BackendPlugin:
         summary: One line for `imolo backends`.
         options: Model of the backend's own section of the config.
         create: Makes a backend for one trial from the whole config and the validated options.
+        checks: Makes the conformance checks of the backend under these options, for `imolo check`.
+        limitations: What it cannot do under its default options.
     """
 
     summary: str
     options: type[Model]
     create: Callable[["ExperimentConfig", Model], Backend]
+    checks: Callable[[Model], Sequence[Check]] = lambda _: ()
+    limitations: tuple[Limitation, ...] = ()

@@ -6,9 +6,8 @@ from typing import Any, Literal
 import dartpy
 import numpy as np
 
-from imolo.config.model import Model
 from imolo.errors import BackendError, DivergenceError
-from imolo_backends.engine import Array, BallContact, EngineState, Scene
+from imolo_backends.engine import Array, BallContact, EngineOptions, EngineState, Scene
 from imolo_backends.engine_checks import (
     FLOOR,
     base_rotation,
@@ -29,7 +28,7 @@ DETECTORS = {
 FLOOR_SIZE = (100.0, 100.0, 2.0)  # [m] a box, since not every detector has planes
 
 
-class DartOptions(Model):
+class DartOptions(EngineOptions):
     """Options of the DART engine.
 
     The constraint solver is Dantzig's, exact up to friction, which DART makes a pyramid: at 45° to its axes a box

@@ -11,6 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from imolo.config.model import Model
+
 Array = NDArray[np.float64]
 
 
@@ -115,6 +117,15 @@ class EngineState:
     ball_position: Array
     ball_velocity: Array
     ball_contacts: tuple[BallContact, ...] = field(default=())
+
+
+class EngineOptions(Model):
+    """Base of the options of every engine; they appear as keys of the config's backend section."""
+
+    @property
+    def integrator_order(self) -> int:
+        """Order of the time integration under these options; semi-implicit Euler's is 1."""
+        return 1
 
 
 class Engine(Protocol):

@@ -5,9 +5,9 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from imolo.config.model import Model, Positive
+from imolo.config.model import Positive
 from imolo.errors import BackendError
-from imolo_backends.engine import Array, BallContact, EngineState, Scene
+from imolo_backends.engine import Array, BallContact, EngineOptions, EngineState, Scene
 from imolo_backends.engine_checks import (
     FLOOR,
     base_rotation,
@@ -31,7 +31,7 @@ CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone
 ROBOT_MASK, FIXED_MASK, BALL_MASK = (1, 0), (0, 1), (1, 1)
 
 
-class MujocoOptions(Model):
+class MujocoOptions(EngineOptions):
     """Options of the MuJoCo engine.
 
     Attributes:
@@ -50,6 +50,11 @@ class MujocoOptions(Model):
     solref: tuple[Positive, Positive] = (0.002, 1.0)
     solref_limit: tuple[Positive, Positive] = (0.002, 1.0)
     ball_frequency: Positive = 2000.0
+
+    @property
+    def integrator_order(self) -> int:
+        """See `EngineOptions.integrator_order`."""
+        return 4 if self.integrator == "rk4" else 1
 
 
 class MujocoEngine:

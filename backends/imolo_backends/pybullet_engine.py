@@ -4,9 +4,9 @@ import numpy as np
 from numba import njit
 from pydantic import PositiveInt
 
-from imolo.config.model import Fraction, Model, NonNegative
+from imolo.config.model import Fraction, NonNegative
 from imolo.errors import BackendError
-from imolo_backends.engine import Array, BallContact, EngineState, Scene
+from imolo_backends.engine import Array, BallContact, EngineOptions, EngineState, Scene
 from imolo_backends.engine_checks import (
     FLOOR,
     base_rotation,
@@ -34,7 +34,7 @@ UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide
 ROTATION_MATRICES = njit(cache=True)(rotation_matrices)
 
 
-class PybulletOptions(Model):
+class PybulletOptions(EngineOptions):
     """Options of the PyBullet engine.
 
     Attributes:

@@ -4,7 +4,7 @@ import heapq
 import itertools
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Model
 from imolo.config.simulation import SimulationConfig
+from imolo.conformance import Check, Limitation
 from imolo.errors import DivergenceError, MessageError
 from imolo.method.motion import Commands
+from imolo_backends.conformance import engine_checks
 from imolo_backends.disturbance import draw_disturbance
-from imolo_backends.engine import Array, Ball, Engine, EngineState
+from imolo_backends.engine import Array, Ball, Engine, EngineOptions, EngineState
 from imolo_backends.liberobot import (
     ARM_LINKS,
     FOOT_LINKS,
@@ -267,13 +269,25 @@ class SimulatedBackend:
         self._bus.publish(channels.TRIAL, message)
 
 
-def simulated_plugin(engine: type[Engine], options: type[Model], summary: str) -> BackendPlugin:
-    """Return what an engine's module offers as its entry point."""
+def simulated_plugin(
+    engine: type[Engine], options: type[EngineOptions], summary: str, limitations: Sequence[Limitation] = ()
+) -> BackendPlugin:
+    """Return what an engine's module offers as its entry point.
+
+    Args:
+        engine: The engine.
+        options: Model of its options.
+        summary: One line for `imolo backends`.
+        limitations: What it cannot do under its default options, see `imolo check`.
+    """
 
     def create(config: ExperimentConfig, chosen: Model) -> Backend:
         return SimulatedBackend(config.backend.name, config.simulation, engine, chosen)
 
-    return BackendPlugin(summary, options, create)
+    def checks(chosen: Model) -> tuple[Check, ...]:
+        return engine_checks(engine, options.model_validate(chosen.model_dump()))
+
+    return BackendPlugin(summary, options, create, checks, tuple(limitations))
 
 
 def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:

@@ -310,7 +310,9 @@ def test_a_continuous_joint_on_a_fixed_base_is_a_pendulum(make_engine: Any, tmp_
 
 
 def test_the_robot_does_not_touch_itself(make_engine: Any, tmp_path: Path) -> None:
-    scene = small_scene(tmp_path, SCISSORS, ("base", "one", "two"), ("first", "second"), gravity=WEIGHTLESS, fixed_base=True)
+    scene = small_scene(
+        tmp_path, SCISSORS, ("base", "one", "two"), ("first", "second"), gravity=WEIGHTLESS, fixed_base=True
+    )
     # The two boxes overlap; without gravity and torque nothing may move.
     state = run(make_engine(scene), 0.05, np.zeros(2))
     assert np.abs(state.joint_velocity).max() < 1e-9

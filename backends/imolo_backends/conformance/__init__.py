@@ -1,0 +1,25 @@
+"""The conformance kit: scenes with closed-form truth that every engine is put through.
+
+Each module holds the scenes of one group, each scene a function of the `Subject` that yields measurements. An engine's
+author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance_testing.parametrize_checks`.
+"""
+
+from imolo.conformance import Check
+from imolo_backends.conformance import air, collisions, contract, free_motion, friction, joints
+from imolo_backends.conformance.subject import Subject, bind
+from imolo_backends.engine import Engine, EngineOptions
+
+SCENES = (
+    *contract.SCENES,
+    *free_motion.SCENES,
+    *joints.SCENES,
+    *collisions.SCENES,
+    *friction.SCENES,
+    *air.SCENES,
+)
+
+
+def engine_checks(engine: type[Engine], options: EngineOptions) -> tuple[Check, ...]:
+    """Return all checks of an engine under these options."""
+    subject = Subject(engine, options)
+    return tuple(bind(scene, subject) for scene in SCENES)
