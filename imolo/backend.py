@@ -1,9 +1,9 @@
 """What a backend is: a body, simulated or real, that speaks the LCM streams and is the only clock."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -83,6 +83,8 @@ class BackendPlugin:
         create: Makes a backend for one trial from the whole config and the validated options.
         checks: Makes the conformance checks of the backend under these options, for `imolo check`.
         limitations: What it cannot do under its default options.
+        ingredients: What can be exchanged in it, for `imolo attribute`: by ingredient, the alternative settings, each
+            a set of the backend's options.
     """
 
     summary: str
@@ -90,3 +92,4 @@ class BackendPlugin:
     create: Callable[["ExperimentConfig", Model], Backend]
     checks: Callable[[Model], Sequence[Check]] = lambda _: ()
     limitations: tuple[Limitation, ...] = ()
+    ingredients: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)

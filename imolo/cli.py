@@ -3,7 +3,7 @@
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,6 +61,60 @@ def backends() -> None:
 
 
 @app.command()
+def check(
+    engines: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Backends by name, or YAMLs whose backend section gives name and options [default: every one that is "
+            "ready].",
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="A scene or a group of scenes; may be given several times.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the numbers to this file.")] = None,
+    page: Annotated[
+        Path | None, typer.Option(help="Write them as a page, with its JSON beside it; engines not checked stay in it.")
+    ] = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Put engines through scenes whose truth is known, and report what they measure.
+
+    A scene that crashes or hangs fails; the others go on. Exit code 1 if anything fails.
+    """
+    from imolo.conformance import page as pages
+    from imolo.conformance.check import Verdict
+    from imolo.conformance.record import record, save_records
+    from imolo.conformance.report import render_report
+    from imolo.conformance.runner import run_suites
+    from imolo.conformance.suite import check_names, suites
+
+    chosen = suites(engines or ())
+    check_names(only or (), chosen)
+    if page is not None:
+        pages.refuse_partial(chosen, only or ())
+    done = {suite.label: 0 for suite in chosen}
+    total = {suite.label: len(suite.select(only or ())) for suite in chosen}
+    with _Bars(lambda: f"{sum(done.values())} of {sum(total.values())} scenes were done") as bars:
+
+        def count(label: str) -> None:
+            done[label] += 1
+            bars.show(label, done[label], total[label])
+
+        outcomes = run_suites(chosen, only or (), jobs, lambda suite, _: count(suite.label))
+    records = [record(suite, outcomes[suite.label]) for suite in chosen]
+    console.print(render_report(records))
+    if json is not None:
+        save_records(json, records)
+        console.print(f"numbers are in {json}")
+    if page is not None:
+        pages.write_page(page, records)
+        console.print(f"the page is {page}")
+    if any(one.count(Verdict.FAIL) for one in records):
+        raise typer.Exit(1)
+
+
+@app.command()
 def compare(
     configs: ConfigPaths = None,
     out: Out = Path("results/compare"),
@@ -77,7 +131,7 @@ def compare(
 
     chosen = [_override(config, seed, balls) for config in _load_all(configs)]
     folder = ResultsFolder(out)
-    with _Bars(out) as bars:
+    with _Bars(_kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
     console.print(summary.render_comparison(result, timings.timing))
     figures.draw_all(result, chosen, folder)
@@ -93,7 +147,7 @@ def learn(config: ConfigPath, out: Out = Path("results/learn"), seed: Seed = Non
 
     chosen = _override(load_config(config), seed, None)
     folder = ResultsFolder(out)
-    with _Bars(out) as bars:
+    with _Bars(_kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
     for method in chosen.methods:
         console.print(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
@@ -125,18 +179,46 @@ def hit(
     folder.prepare()
     folder.save_config(chosen)
     name = chosen.backend.name
-    with _Bars(out) as bars:
+    with _Bars(_kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_json("summary.json", results[name][method])
     console.print(summary.render_results(results, timing))
     console.print(f"logs, config and summary.json are in {out}")
 
 
-class _Bars:
-    """Progress bars, one for each thing under way; Ctrl-C ends in one line that says what is kept."""
+@app.command()
+def attribute(
+    first: Annotated[str, typer.Argument(help="A backend by name, or a YAML that configures it.")],
+    second: Annotated[str, typer.Argument(help="The other one.")],
+    motions: Annotated[
+        int | None, typer.Option(min=1, help="Only the first motions of Table III [default: all].", show_default=False)
+    ] = None,
+    out: Out = Path("results/attribute"),
+    jobs: Jobs = CORES,
+) -> None:
+    """Say why two backends bring the hand to different places under the same commands.
 
-    def __init__(self, out: Path) -> None:
-        self._out = out
+    Swaps one ingredient at a time: time step, sole, friction cone, stiffness of contacts and joint limits, and whatever
+    else the backends declare. Writes logs, attribution.json and a waterfall.
+    """
+    from imolo.experiment import figures, summary
+    from imolo.experiment.attribution import attribute as attribute_disagreement
+    from imolo.experiment.results import ResultsFolder
+
+    configs = (_named_or_file(first, motions), _named_or_file(second, motions))
+    folder = ResultsFolder(out)
+    with _Bars(_kept_in(out)) as bars:
+        answer = attribute_disagreement(configs, folder, jobs, bars.show)
+    console.print(summary.render_attribution(answer))
+    path = folder.save_figure("waterfall.png", figures.draw_waterfall(answer))
+    console.print(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
+
+
+class _Bars:
+    """Progress bars, one for each thing under way; Ctrl-C ends in one line that says how far things were."""
+
+    def __init__(self, state: Callable[[], str]) -> None:
+        self._state = state
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console
         )
@@ -149,8 +231,7 @@ class _Bars:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._progress.stop()
         if kind is KeyboardInterrupt:
-            logs = len(list(self._out.rglob("*.lcmlog")))
-            _complain(f"interrupted; the {logs} logs recorded so far are kept in {self._out}")
+            _complain(f"interrupted; {self._state()}")
             raise typer.Exit(130)
 
     def show(self, what: str, done: int, total: int) -> None:
@@ -158,6 +239,10 @@ class _Bars:
         if what not in self._tasks:
             self._tasks[what] = self._progress.add_task(what, total=total)
         self._progress.update(self._tasks[what], completed=done)
+
+
+def _kept_in(out: Path) -> Callable[[], str]:
+    return lambda: f"the {len(list(out.rglob('*.lcmlog')))} logs recorded so far are kept in {out}"
 
 
 def _load_all(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
@@ -170,6 +255,20 @@ def _load_all(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
     if not ready:
         raise BackendNotFoundError("no backend is ready; `imolo backends` says what to install")
     return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready]
+
+
+def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":
+    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+
+    if text.endswith((".yaml", ".yml")):
+        config = load_config(Path(text))
+    else:
+        config = ExperimentConfig(backend=BackendConfig(name=text))
+        config.backend_options()
+    if motions is None:
+        return config
+    training = config.training.model_copy(update={"motions": config.training.motions[:motions]})
+    return config.model_copy(update={"training": training})
 
 
 def _override(config: "ExperimentConfig", seed: int | None, balls: int | None) -> "ExperimentConfig":

@@ -4,7 +4,8 @@ import heapq
 import itertools
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -270,7 +271,11 @@ class SimulatedBackend:
 
 
 def simulated_plugin(
-    engine: type[Engine], options: type[EngineOptions], summary: str, limitations: Sequence[Limitation] = ()
+    engine: type[Engine],
+    options: type[EngineOptions],
+    summary: str,
+    limitations: Sequence[Limitation] = (),
+    ingredients: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
 ) -> BackendPlugin:
     """Return what an engine's module offers as its entry point.
 
@@ -279,6 +284,7 @@ def simulated_plugin(
         options: Model of its options.
         summary: One line for `imolo backends`.
         limitations: What it cannot do under its default options, see `imolo check`.
+        ingredients: What `imolo attribute` may exchange, see `BackendPlugin`.
     """
 
     def create(config: ExperimentConfig, chosen: Model) -> Backend:
@@ -287,7 +293,7 @@ def simulated_plugin(
     def checks(chosen: Model) -> tuple[Check, ...]:
         return engine_checks(engine, options.model_validate(chosen.model_dump()))
 
-    return BackendPlugin(summary, options, create, checks, tuple(limitations))
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {})
 
 
 def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:

@@ -24,14 +24,12 @@ from imolo.experiment.campaign import (
 )
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
 from imolo.experiment.metrics import MethodResult, Statistic, judge_campaign, judge_trial
-from imolo.experiment.recordings import hand_at, last_plan
+from imolo.experiment.recordings import hand_in_swing
 from imolo.experiment.results import ResultsFolder, installed_versions
 from imolo.log import read_log
 
 Array = NDArray[np.float64]
 Group = TypeVar("Group", bound=Hashable)
-
-AGREEMENT_TIME = 0.17  # [s] after t_w, in the middle of the samples of Sec. VII-B
 
 Progress = Callable[[str, int, int], None]
 """Told what is under way, how much of it is done, and how much there is."""
@@ -231,19 +229,9 @@ def _disagreement(learning: Mapping[str, Sequence[TrialTask]]) -> dict[str, Stat
 
 
 def _training_hands(tasks: Sequence[TrialTask]) -> dict[int, Array]:
-    hands = {}
-    for task in tasks:
-        if task.trial.kind is not TrialKind.TRAINING:
-            continue
-        log = read_log(task.log_path)
-        plan = last_plan(log)
-        if plan is None:
-            continue
-        at = plan.plan_onset_utime * 1e-6 + plan.theta[1] + AGREEMENT_TIME
-        hand = hand_at(log, task.config.robot.hand_marker, at)
-        if hand is not None:
-            hands[task.trial.index] = hand
-    return hands
+    training = [task for task in tasks if task.trial.kind is TrialKind.TRAINING]
+    hands = {t.trial.index: hand_in_swing(read_log(t.log_path), t.config.robot.hand_marker) for t in training}
+    return {index: hand for index, hand in hands.items() if hand is not None}
 
 
 def _timing(timings: Sequence[TrialTiming]) -> Timing:

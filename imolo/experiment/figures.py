@@ -1,6 +1,7 @@
 """The figures of a comparison, drawn from its logs and tables."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from imolo import channels
 from imolo.backend import EventName
 from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.attribution import Attribution
 from imolo.experiment.campaign import hit_tasks, learning_tasks
 from imolo.experiment.comparison import Comparison
 from imolo.experiment.recordings import last_plan, marker_track
@@ -41,7 +43,6 @@ STYLE: Any = {
 
 def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder: ResultsFolder) -> list[Path]:
     """Draw every figure of a comparison, for its last method where it shows one, and return the files."""
-    folder.figures.mkdir(exist_ok=True)
     method = list(configs[0].methods)[-1]
     named = {config.backend.name: config for config in configs}
     drawings = {
@@ -50,12 +51,7 @@ def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder
         "reach": draw_reach(named, folder, method),
         "hit_rates": draw_hit_rates(comparison),
     }
-    paths = []
-    for name, figure in drawings.items():
-        path = folder.figures / f"{name}.png"
-        figure.savefig(path, bbox_inches="tight", facecolor="white")
-        paths.append(path)
-    return paths
+    return [folder.save_figure(f"{name}.png", figure) for name, figure in drawings.items()]
 
 
 def draw_trajectories(named: dict[str, ExperimentConfig], folder: ResultsFolder, method: str) -> Figure:
@@ -203,4 +199,31 @@ def draw_hit_rates(comparison: Comparison) -> Figure:
         axes.set_ylim(0, 1.03)
         axes.set_ylabel("hit rate (Wilson 95 %)")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    return figure
+
+
+def draw_waterfall(answer: Attribution) -> Figure:
+    """Draw what each swap explains of the disagreement of two backends, one upon the other, down to the rest."""
+    heights = [1e3 * (s.mean or 0.0) for s in (answer.start, *(step.disagreement for step in answer.waterfall))]
+    labels = [f"{answer.backends[0]} - {answer.backends[1]}\nas configured"]
+    labels += [f"{s.swap.ingredient}\n{s.swap.side}, {s.swap.change}" for s in answer.waterfall]
+    labels += ["not explained"]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.5, 0.55 * len(labels) + 1.0), layout="constrained")
+        axes = figure.subplots()
+        rows = range(len(labels))
+        axes.barh(rows[0], heights[0], color=MISS_COLOR, height=0.6)
+        axes.barh(rows[-1], heights[-1], color=MISS_COLOR, height=0.6)
+        axes.text(heights[0], rows[0], f" {heights[0]:.1f}", va="center")
+        axes.text(heights[-1], rows[-1], f" {heights[-1]:.1f}", va="center")
+        for row, (before, after) in enumerate(pairwise(heights), start=1):
+            axes.barh(row, before - after, left=after, color=COLORS[0], height=0.6)
+            axes.plot([before, before], [row - 1, row], color="#555555", lw=0.6)
+            axes.text(before, row, f" -{before - after:.1f}", va="center")
+        axes.plot([heights[-1]] * 2, rows[-2:], color="#555555", lw=0.6)
+        axes.set_yticks(rows, labels, fontsize=8)
+        axes.invert_yaxis()
+        axes.set_xlim(0.0, 1.12 * max(heights))
+        axes.set_xlabel(f"distance of the hands, mean over {answer.motions} motions [mm]")
+        axes.grid(axis="y", visible=False)
     return figure

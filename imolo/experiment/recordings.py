@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 LINK_SPEED = 12.0  # [m/s] a marker may be this much faster or slower than it was, as when it is thrown or bounces
 LINK_TIME = 0.05  # [s] longest gap in a track
+AGREEMENT_TIME = 0.17  # [s] after t_w, in the middle of the samples of Sec. VII-B
 SPLINE_REACH = 0.1  # [s] of a marker's track on both sides that is interpolated
 
 
@@ -49,6 +50,17 @@ def last_plan(log: Log) -> plan_t | None:
     """Return the last plan of the motion that was executed; None if none was started."""
     started = [plan for plan in log.messages[channels.PLAN] if plan.plan_onset_utime > 0]
     return started[-1] if started else None
+
+
+def hand_in_swing(log: Log, hand_marker: int) -> Array | None:
+    """Return where the hand was `AGREEMENT_TIME` after t_w [m], shape (3,): where two backends are compared.
+
+    None if the log has no motion or does not show the hand then.
+    """
+    plan = last_plan(log)
+    if plan is None:
+        return None
+    return hand_at(log, hand_marker, plan.plan_onset_utime * 1e-6 + plan.theta[1] + AGREEMENT_TIME)
 
 
 def hand_samples(log: Log, robot: RobotConfig, training: TrainingConfig) -> TrainingData:

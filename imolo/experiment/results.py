@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import yaml
+from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from imolo.config.experiment import ExperimentConfig
@@ -64,6 +65,13 @@ class ResultsFolder:
         content = config.model_dump(mode="json")
         content["backend"].update(config.backend_options().model_dump(mode="json"))
         path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+    def save_figure(self, name: str, figure: Figure) -> Path:
+        """Write a figure to a file of this name among the figures, and return the file."""
+        path = self.figures / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, bbox_inches="tight", facecolor="white")
+        return path
 
     def save_json(self, name: str, content: BaseModel) -> None:
         """Write numbers to a file of this name."""

@@ -7,6 +7,7 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
+from imolo.experiment.attribution import Attribution, SwapResult
 from imolo.experiment.comparison import Comparison, Timing
 from imolo.experiment.metrics import HORIZONS, MethodResult, Statistic
 
@@ -68,6 +69,44 @@ def render_disagreement(disagreement: Mapping[str, Statistic]) -> Table:
     for pair, statistic in disagreement.items():
         table.add_row(pair, millimetres(statistic), str(statistic.count))
     return table
+
+
+def render_attribution(answer: Attribution) -> RenderableType:
+    """Return what every swap does alone, and what they explain one upon the other."""
+    first, second = answer.backends
+    alone = Table(
+        title=f"{first} - {second}: hands {_tenths(answer.start)} mm apart, one thing swapped at a time",
+        caption="hands: mean ± sd of their distance after the swap; by: how far the swap alone moved the hand.",
+        **STYLE,
+    )
+    _add_swap_columns(alone)
+    for result in answer.alone:
+        alone.add_row(*_swap_cells(result), f"{1e3 * result.moved:.1f}")
+    kept = Table(title="One upon the other, the most helpful first", **STYLE)
+    _add_swap_columns(kept)
+    before = answer.start.mean or 0.0
+    for result in answer.waterfall:
+        after = result.disagreement.mean or 0.0
+        kept.add_row(*_swap_cells(result), f"-{1e3 * (before - after):.1f}")
+        before = after
+    kept.add_section()
+    kept.add_row("not explained", "", "", f"{1e3 * before:.1f}", "")
+    return Group(alone, kept)
+
+
+def _add_swap_columns(table: Table) -> None:
+    for title in ("ingredient", "side", "change"):
+        table.add_column(title)
+    for title in ("hands\nmm", "by\nmm"):
+        table.add_column(title, justify="right")
+
+
+def _swap_cells(result: SwapResult) -> tuple[str, str, str, str]:
+    return result.swap.ingredient, result.swap.side, result.swap.change, _tenths(result.disagreement)
+
+
+def _tenths(statistic: Statistic) -> str:
+    return "-" if statistic.mean is None else f"{1e3 * statistic.mean:.1f}±{1e3 * (statistic.sd or 0.0):.1f}"
 
 
 def millimetres(statistic: Statistic) -> str:

@@ -10,14 +10,15 @@ import pytest
 from trials import BACKENDS, config, event, mocap, play
 
 from imolo import channels
-from imolo.backend import EventName, TrialKind
+from imolo.backend import EventName, Trial, TrialKind
 from imolo.ball.model import LinearBallModel
 from imolo.bus import Bus
 from imolo.errors import TableFileError
-from imolo.experiment.campaign import learning_tasks, run_tasks
+from imolo.experiment.campaign import TrialTask, learning_tasks, run_task, run_tasks
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
 from imolo.experiment.metrics import judge_trial
-from imolo.log import Log
+from imolo.experiment.trial import SLICE
+from imolo.log import Log, read_log
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.motion import Commands
 from imolo.method.planner import Planner, PlannerConfig
@@ -149,6 +150,25 @@ def test_one_planner_plays_a_trial_again_as_the_first_time(learned: Learned, tmp
     for name in ("first", "again"):
         play(CONFIG, tmp_path / name, planner, 0.6, TrialKind.HIT, 0)
     assert (tmp_path / "first").read_bytes() == (tmp_path / "again").read_bytes()
+
+
+def test_one_planner_with_one_table_file_makes_every_backend_speak_alike(learned: Learned, tmp_path: Path) -> None:
+    """The same channels and types, and until the first trial ends the same clocks."""
+    table = tmp_path / "table.npz"
+    learned.table.save(table)
+    logs = []
+    for backend in BACKENDS:
+        path = tmp_path / backend
+        run_task(TrialTask(config(backend), Trial(TrialKind.HIT, 0, 1), path, "paper", table))
+        logs.append(read_log(path))
+    spoken = [{name: type(messages[0]) for name, messages in log.messages.items() if messages} for log in logs]
+    assert spoken == [{name: channel.message_type for name, channel in channels.CHANNELS.items()}] * len(BACKENDS)
+    # When events happen and motions start is the engine's and the planner's to say.
+    clocked = set(channels.CHANNELS) - {channels.TRIAL, channels.VALVE_COMMAND}
+    end = min(log.messages[channels.TRIAL][-1].utime for log in logs) - SLICE
+    for name in clocked:
+        clocks = [[message.utime for message in log.messages[name] if message.utime < end] for log in logs]
+        assert clocks == [clocks[0]] * len(BACKENDS), name
 
 
 def test_table_of_another_robot_ends_the_trial(learned: Learned, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The conformance kit: scenes with closed-form truth that every engine is put through.
 
 Each module holds the scenes of one group, each scene a function of the `Subject` that yields measurements. An engine's
-author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance_testing.parametrize_checks`.
+author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance.testing.parametrize_checks`.
 """
 
 from imolo.conformance import Check

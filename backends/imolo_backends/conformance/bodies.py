@@ -18,6 +18,10 @@ GRAVITY = 9.81  # [m/s²]
 ASIDE = (40.0, 0.0, 30.0)  # [m] where a ball is that takes no part in a scene
 HIGH = (0.0, 0.0, 50.0)  # [m] where a robot is that takes no part, or that may fall for a while
 
+CONTACT_TIMESTEP = 1e-4  # [s] of scenes with contacts
+CONTACT_TIME = 20 * CONTACT_TIMESTEP  # [s] in which the softest contact settles that still counts as rigid
+CONTACT_SINK = GRAVITY * CONTACT_TIME**2  # [m] of a body that rests on such a contact
+
 BOX_MASS = 2.0  # [kg]
 BOX_SIDES = (0.3, 0.2, 0.1)  # [m]
 BOX_INERTIA = tuple(BOX_MASS / 12.0 * (sum(s * s for s in BOX_SIDES) - side * side) for side in BOX_SIDES)  # [kg m²]
@@ -49,9 +53,9 @@ def _link(name: str, mass: float, inertia: tuple[float, float, float], com: str 
     )
 
 
-def _box_shape(sides: tuple[float, float, float]) -> str:
+def _box_shape(sides: tuple[float, float, float], center: str = "0 0 0") -> str:
     size = " ".join(map(repr, sides))
-    return f'<collision><geometry><box size="{size}"/></geometry></collision>'
+    return f'<collision><origin xyz="{center}"/><geometry><box size="{size}"/></geometry></collision>'
 
 
 def body_scene(name: str, content: str, links: tuple[str, ...], joints: tuple[str, ...] = (), **changes: Any) -> Scene:
@@ -82,6 +86,29 @@ def box_scene(
     return body_scene("box", link, ("body",), **changes)
 
 
+def lopsided_scene(**changes: Any) -> Scene:
+    """Return a free body whose COM and principal axes are off its link frame; `changes` replace fields of the scene."""
+    link = (
+        '<link name="body"><inertial><origin xyz="0.02 0.01 -0.03" rpy="0.3 0.2 0.1"/><mass value="0.5"/>'
+        '<inertia ixx="0.003" iyy="0.002" izz="0.0015" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    return body_scene("lopsided", link, ("body",), **changes)
+
+
+def overlapping_scene(**changes: Any) -> Scene:
+    """Return a stand with two hanging boxes that overlap below their pivots; `changes` replace fields of the scene."""
+    links = [_link("stand", 1.0, (0.01, 0.01, 0.01))]
+    joints = []
+    for name, where in (("one", "0 0 0"), ("two", "0.06 0.03 0")):
+        links.append(_link(name, 1.0, (0.01, 0.01, 0.01), collision=_box_shape((0.1, 0.1, 0.4), "0 0 -0.2")))
+        joints.append(
+            f'<joint name="turn_{name}" type="continuous"><parent link="stand"/><child link="{name}"/>'
+            f'<origin xyz="{where}"/><axis xyz="0 1 0"/></joint>'
+        )
+    names = ("turn_one", "turn_two")
+    return body_scene("overlapping", "".join(links + joints), ("stand", "one", "two"), names, **changes)
+
+
 def pendulum_scene(rods: int = 1, **changes: Any) -> Scene:
     """Return a chain of rods on a fixed stand, hanging down, that turn about y; `changes` replace fields."""
     links = [_link("stand", 1.0, (0.01, 0.01, 0.01))]
@@ -100,6 +127,11 @@ def pendulum_scene(rods: int = 1, **changes: Any) -> Scene:
         "pendulum", "".join(links + joints), ("stand", *names), tuple(n.replace("rod", "pivot") for n in names)
     )
     return replace(scene, base_position=HIGH, fixed_base=True, **changes)
+
+
+def tilted_gravity(angle: float) -> tuple[float, float, float]:
+    """Return gravity [m/s²] that makes the floor a ramp going down along x at this angle [rad]."""
+    return (GRAVITY * float(np.sin(angle)), 0.0, -GRAVITY * float(np.cos(angle)))
 
 
 def ball_scene(ball: Ball, **changes: Any) -> Scene:

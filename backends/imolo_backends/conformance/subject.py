@@ -1,6 +1,6 @@
 """The engine under check, and how its scenes are run."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +11,10 @@ from imolo.conformance import Check, Measurement
 from imolo_backends.engine import Array, Engine, EngineOptions, EngineState, Scene
 
 Observe = Callable[[EngineState], object]
+Errors = Mapping[str, tuple[Array, float]]
+"""By quantity, its SI unit in brackets at the end: an error, shape (N,), and the size of what it is an error of."""
+WINDOW_STEP = 1e-2  # [s] between states from whose poses velocities are taken: long, against single precision
+ROUNDING = 1e-6  # [m, rad, ...] of long runs; link frames and COMs may be in single precision
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,64 @@ class Subject:
         with self.run(scene) as run:
             return run.advance(duration, torque)
 
+    @property
+    def timesteps(self) -> tuple[float, float]:
+        """Timestep and half of it [s] for smooth motions: small, but the errors far above rounding."""
+        return (1e-3, 5e-4) if self.order == 1 else (2e-2, 1e-2)
+
+    def converge(
+        self, scene: Scene, rate: float, duration: float, errors: Callable[["Run"], Errors]
+    ) -> Iterator[Measurement]:
+        """Measure errors of a smooth motion at both `timesteps`, what is left of them at dt = 0, and their order.
+
+        With p the integrator's order, N = `rate` * `duration` and h = `rate` * dt, a motion of this rate may be wrong
+        by about s N h^p, s being its size: e. Extrapolated to dt = 0 (Richardson) only the next order is left, which is
+        e h or, as errors feed on errors, e N h^p. No order is measured where the error drowns in rounding.
+
+        Args:
+            scene: The scene; its timestep does not matter.
+            rate: Fastest rate of the motion [1/s].
+            duration: How long it lasts [s].
+            errors: Runs the scene and returns its errors.
+        """
+        results = []
+        for timestep in self.timesteps:
+            with self.run(at_timestep(scene, timestep)) as run:
+                results.append(errors(run))
+        coarse, fine = results
+        gain = 2.0**self.order
+        step = rate * self.timesteps[1]
+        relative = rate * duration * step**self.order
+        for key, (error, size) in fine.items():
+            quantity, unit = key.rstrip("]").split(" [")
+            before = coarse[key][0]
+            limit = (gain * error - before) / (gain - 1.0)
+            yield Measurement(
+                f"error of {quantity}",
+                unit,
+                0.0,
+                float(np.linalg.norm(error)),
+                size * relative + ROUNDING,
+                f"size x N h^p = {size:.3g} x {relative:.2g}, p = {self.order}",
+            )
+            yield Measurement(
+                f"error of {quantity} at dt = 0",
+                unit,
+                0.0,
+                float(np.linalg.norm(limit)),
+                size * relative * max(step, relative) + ROUNDING,
+                "Richardson leaves the next order",
+            )
+            if np.linalg.norm(error) > 10.0 * ROUNDING:
+                yield Measurement(
+                    f"order of {quantity}",
+                    "",
+                    self.order,
+                    observed_order(float(np.linalg.norm(before)), float(np.linalg.norm(error))),
+                    0.2 * self.order,
+                    "the next order at these timesteps",
+                )
+
 
 class Run:
     """A scene that is running."""
@@ -74,6 +136,23 @@ class Run:
         yield self.engine.read()
         for _ in range(round(duration / every)):
             yield self.advance(every, torque)
+
+    def joint_motion(self, duration: float, torque: Array | None = None) -> tuple[Array, Array]:
+        """Step for a duration [s]; return joint angles [rad] and velocities [rad/s] of every step, shape (N + 1, J)."""
+        torque, no_force = self.no_torque if torque is None else torque, np.zeros(3)
+        steps = round(duration / self.scene.timestep)
+        motion = np.empty((2, steps + 1, len(torque)))
+        motion[:, 0] = self.engine.motion()[:2]
+        for number in range(1, steps + 1):
+            self.engine.step(torque, no_force)
+            motion[0, number], motion[1, number], _ = self.engine.motion()
+        return motion[0], motion[1]
+
+    def window(self, middle: float, torque: Array | None = None) -> list[EngineState]:
+        """Return five states, `WINDOW_STEP` or one timestep apart, the third of which is `middle` [s] after now."""
+        step = max(WINDOW_STEP, self.scene.timestep)
+        first = self.advance(middle - 2.0 * step, torque)
+        return [first, *(self.advance(step, torque) for _ in range(4))]
 
 
 SceneCheck = Callable[[Subject], Iterable[Measurement]]

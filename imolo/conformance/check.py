@@ -1,16 +1,11 @@
-"""Conformance: scenes with known truth that a backend must reproduce, and the verdict on each measured number.
-
-A backend's plugin offers `checks`; each one measures quantities beside their truth. Where a backend cannot do what is
-asked, its plugin declares a `Limitation` with the reason; what is declared but measures well is as wrong as what is not
-declared and measures badly, so that the declarations stay true.
-"""
+"""What a check is, and how what it measured is judged."""
 
 import math
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-
-from imolo.errors import ImoloError
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -100,17 +95,19 @@ class Outcome:
     remark: str = ""
 
 
-def run_check(check: Check, limitations: Sequence[Limitation]) -> list[Outcome]:
+def run_check(check: Check, limitations: Sequence[Limitation], exactly: bool = True) -> list[Outcome]:
     """Run a check and judge what it measured.
 
     Args:
         check: The check.
         limitations: All that the backend declares.
+        exactly: Whether a declaration that does not apply is a failure, as it is under the options it was made for.
 
     Returns:
-        One outcome per quantity; a failure where the check raised an error or a declaration fits nothing.
+        One outcome per quantity; a failure where the check raised an error.
     """
     declared = {limit.quantity: limit.reason for limit in limitations if limit.check == check.name}
+    measured: set[str] = set()
     outcomes: list[Outcome] = []
 
     def conclude(verdict: Verdict, measurement: Measurement | None, remark: str = "") -> None:
@@ -118,16 +115,33 @@ def run_check(check: Check, limitations: Sequence[Limitation]) -> list[Outcome]:
 
     try:
         for measurement in check.measure():
+            if measurement.quantity in measured:
+                conclude(Verdict.FAIL, None, f"measures {measurement.quantity!r} twice")
+                continue
+            measured.add(measurement.quantity)
             reason = declared.pop(measurement.quantity, None)
             if reason is None:
                 conclude(Verdict.PASS if measurement.within else Verdict.FAIL, measurement)
+            elif measurement.within and not exactly:
+                conclude(Verdict.PASS, measurement)
+            elif not math.isfinite(measurement.measured):
+                conclude(
+                    Verdict.FAIL, measurement, f"declared unsupported ({reason}), but there is no number to report"
+                )
             elif measurement.within:
                 conclude(Verdict.FAIL, measurement, f"declared unsupported ({reason}), but it is within its tolerance")
             else:
                 conclude(Verdict.UNSUPPORTED, measurement, reason)
-    except (ImoloError, ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        conclude(Verdict.FAIL, None, f"{type(error).__name__}: {error}")
+    except Exception as error:  # noqa: BLE001 (a plug-in may raise anything, and the other checks are still to run)
+        conclude(Verdict.FAIL, None, _explain(error))
         return outcomes
-    for quantity in declared:
+    for quantity in declared if exactly else ():
         conclude(Verdict.FAIL, None, f"declares a limitation of {quantity!r}, which this check does not measure")
+    if not outcomes:
+        conclude(Verdict.FAIL, None, "measures nothing")
     return outcomes
+
+
+def _explain(error: Exception) -> str:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
