@@ -13,6 +13,7 @@ ENGINES = {
     "mujoco": ("imolo_backends.mujoco_engine", "MujocoEngine", "MujocoOptions"),
     "pybullet": ("imolo_backends.pybullet_engine", "PybulletEngine", "PybulletOptions"),
     "dart": ("imolo_backends.dart_engine", "DartEngine", "DartOptions"),
+    "ode": ("imolo_backends.ode_engine", "OdeEngine", "OdeOptions"),
 }
 
 MakeEngine = Callable[..., Engine]
