@@ -9,8 +9,10 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+from requirements import BACKENDS
 
 from imolo import registry
 from imolo.channels import TRIAL
@@ -18,7 +20,6 @@ from imolo.cli import main
 from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
-BACKENDS = ("dart", "mujoco", "pybullet")
 COMMANDS = ("backends", "compare", "learn", "hit")
 GOOD = "backend: {name: mujoco}\n"
 
@@ -55,11 +56,11 @@ def is_one_line_about(errors: str, *parts: str) -> bool:
     )
 
 
-def test_backends_lists_every_engine_as_ready(run: Run) -> None:
+@pytest.mark.parametrize("name", BACKENDS)
+def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
     code, output, errors = run("backends")
     assert (code, errors) == (0, "")
-    for name in BACKENDS:
-        assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
+    assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -160,7 +161,7 @@ def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> Non
 
 @pytest.mark.usefixtures("without_pybullet")
 def test_missing_extra_leaves_the_other_backends_ready() -> None:
-    status = {name: registry.backend_status(name) for name in BACKENDS}
+    status = {name: registry.backend_status(name) for name in ("dart", "mujoco", "pybullet")}
     assert status["pybullet"].plugin is None
     assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
     assert (status["mujoco"].problem, status["dart"].problem) == ("", "")
@@ -178,6 +179,21 @@ def test_backends_says_that_an_engine_is_missing(run: Run) -> None:
 def test_backends_says_how_to_get_a_missing_engine(run: Run) -> None:
     _, output, _ = run("backends")
     assert "pip install 'imolo[pybullet]'" in " ".join(output.split())
+
+
+@pytest.mark.parametrize("wrong", [None, ModuleType("ode")], ids=["none", "another package of this name"])
+def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
+    run: Run, monkeypatch: pytest.MonkeyPatch, wrong: ModuleType | None
+) -> None:
+    monkeypatch.setitem(sys.modules, "ode", wrong)
+    for module in ("ode_engine", "ode_model"):
+        monkeypatch.delitem(sys.modules, f"imolo_backends.{module}", raising=False)
+    Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
+    code, _, errors = run("compare", "experiment.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "backend 'ode' cannot be used", "make ode")
+    # PyPI has another package of this name.
+    assert "pip install" not in errors
 
 
 def logs(folder: Path) -> list[Path]:

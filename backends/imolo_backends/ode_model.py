@@ -78,6 +78,11 @@ class OdeRobot:
         angle += self._zero
         velocity[:] = [get() for get in self._get_velocity]
 
+    def base_speed(self) -> tuple[float, ...]:
+        """Return linear [m/s] and angular velocity [rad/s] of the base's COM; nothing where the base is fixed."""
+        base = self._bodies.get(self._model.base)
+        return () if base is None else (*base.getLinearVel(), *base.getAngularVel())
+
     def link_poses(self) -> tuple[Array, Array, Array]:
         """Return origins [m], shape (L, 3), and rotation matrices, shape (L, 3, 3), and the base's quaternion."""
         poses = {self._model.base: self._base_pose}
@@ -94,7 +99,7 @@ class OdeRobot:
         positions, rotations = map(np.array, zip(*links, strict=True))
         return positions, rotations, np.array(quaternion)
 
-    def check(self, robot: RobotModel, cfm: float) -> None:
+    def check(self, robot: RobotModel, stop_erp: float, cfm: float) -> None:
         """Compare what ODE holds with the URDF.
 
         Raises:
@@ -113,8 +118,8 @@ class OdeRobot:
             if limits is not None:
                 stops = hinge.getParam(LOWER_STOP) + zero, hinge.getParam(UPPER_STOP) + zero
                 check_value(f"limits of {name} [rad]", stops, limits)
-                check_value(f"bounce of {name}'s stops [-]", hinge.getParam(STOP_BOUNCE), 0.0)
-                check_value(f"CFM of {name}'s stops", hinge.getParam(STOP_CFM), cfm)
+                stop = [hinge.getParam(number) for number in (STOP_BOUNCE, STOP_ERP, STOP_CFM)]
+                check_value(f"bounce, ERP and CFM of {name}'s stops", stop, (0.0, stop_erp, cfm))
 
     def _start(self) -> None:
         scene, (position, rotation) = self._scene, self._base_pose

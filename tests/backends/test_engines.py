@@ -309,6 +309,16 @@ def test_a_continuous_joint_on_a_fixed_base_is_a_pendulum(make_engine: Any, tmp_
     assert state.link_position[0] == pytest.approx(scene.base_position, abs=1e-12)
 
 
+@pytest.mark.parametrize(("start", "torque"), [(0.0, 1.0), (7.0, 1.0), (-3.0, -1.0)])
+def test_a_continuous_joint_counts_its_turns(make_engine: Any, tmp_path: Path, start: float, torque: float) -> None:
+    scene = small_scene(tmp_path, PENDULUM, ("stand", "rod"), ("pivot",), fixed_base=True, gravity=WEIGHTLESS)
+    time, inertia = 3.0, 0.16667 + 2.0 * 0.25
+    state = run(make_engine(replace(scene, joint_angle=(start,))), time, np.array([torque]))
+    turned = 0.5 * torque / inertia * time * (time + DT)
+    assert state.joint_angle[0] - start == pytest.approx(turned, rel=1e-4)
+    assert abs(turned) > 2.0 * np.pi
+
+
 def test_the_robot_does_not_touch_itself(make_engine: Any, tmp_path: Path) -> None:
     scene = small_scene(
         tmp_path, SCISSORS, ("base", "one", "two"), ("first", "second"), gravity=WEIGHTLESS, fixed_base=True

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from requirements import BACKEND_NAMES, needs
 from trials import BACKENDS, COARSE, hand_in_truth, play_motion, quiet
 
 from imolo import channels
@@ -105,7 +106,10 @@ def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("one", "other"), list(combinations(BACKENDS, 2)))
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [pytest.param(*pair, marks=needs(*pair)) for pair in combinations(BACKEND_NAMES, 2)],
+)
 def test_hands_of_two_engines_agree_over_table_iii(one: str, other: str) -> None:
     distance = [
         1e3 * np.linalg.norm(hand(motion(one, theta, timestep=FINE)) - hand(motion(other, theta, timestep=FINE)))

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trials import BACKENDS, config, event, mocap, play
+from requirements import BACKEND_NAMES, needs
+from trials import config, event, mocap, play
 
 from imolo import channels
 from imolo.backend import EventName, TrialKind
@@ -63,7 +64,13 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
     return Learned(build_table(CONFIG, method, data, ball_model), ball_model)
 
 
-@pytest.fixture(scope="module", params=itertools.product(BACKENDS, (0, 1)), ids=lambda p: f"{p[0]}-ball{p[1]}")
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((name, ball), marks=needs(name), id=f"{name}-ball{ball}")
+        for name, ball in itertools.product(BACKEND_NAMES, (0, 1))
+    ],
+)
 def hit(request: pytest.FixtureRequest, learned: Learned, tmp_path_factory: pytest.TempPathFactory) -> Log:
     backend, ball = request.param
     path = tmp_path_factory.mktemp("hit") / "log"
