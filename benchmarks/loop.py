@@ -16,7 +16,7 @@ from imolo.experiment.trial import run_trial
 from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import mocap_frame_t, trial_event_t
 
-TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.3}
+TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.7}
 REPEATS = 7
 DURATION = 1.1  # [s] a throw, as long as the ball flies
 MOTION, ONSET = Theta(k=0.06, t_w=0.28), 0.5  # [s] the robot waits as long as for a real ball
