@@ -6,13 +6,16 @@ EXTRAS ?= mujoco,pybullet,dart,dev
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help demo test test-slow lint bench messages clean
+.PHONY: help demo ode test test-slow lint bench messages clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
 demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
 	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo
+
+ode: $(READY) ## Add ODE, the paper's engine, from Debian's packages; no root needed.
+	tools/get_ode
 
 test: $(READY) ## Run the tests, the long matrices left out.
 	$(BIN)/python -m pytest -m "not slow" -n auto

@@ -6,7 +6,6 @@ import platform
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 from rich.console import Console
@@ -15,14 +14,18 @@ from rich.table import Table
 from benchmarks import loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
+from imolo.experiment.results import installed_versions
+from imolo.registry import backend_status
 
-PACKAGES = ("numpy", "numba", "scipy", "scikit-learn", "lcm", "mujoco-core", "pybullet", "dartpy")
 VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
 
 
 def measure(console: Console) -> Iterator[Measurement]:
     """Run all benchmarks, one after the other."""
     for engine in loop.TARGETS:
+        if problem := backend_status(engine).problem:
+            console.print(f"no loop of {engine}: {problem}")
+            continue
         with console.status(f"loop, {engine}"):
             yield from loop.run(engine)
     with tempfile.TemporaryDirectory() as name:
@@ -59,8 +62,7 @@ def main() -> None:
     console.print(render(measurements))
     content = {
         "machine": platform.processor() or platform.machine(),
-        "python": platform.python_version(),
-        "versions": {package: version(package) for package in PACKAGES},
+        "versions": installed_versions(),
         "measurements": [{**asdict(one), "verdict": one.verdict} for one in measurements],
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -10,6 +10,7 @@ import mujoco  # noqa: TID251 - this is what the engine's module is measured aga
 import numpy as np
 
 from imolo.config.model import Model
+from imolo.registry import backend_status
 from imolo_backends.dart_engine import DartEngine
 from imolo_backends.engine import Array, Engine, Scene
 from imolo_backends.mujoco_engine import MujocoEngine
@@ -17,13 +18,18 @@ from imolo_backends.pybullet_engine import PybulletEngine, pybullet
 
 ENGINES: dict[str, type[Any]] = {"mujoco": MujocoEngine, "pybullet": PybulletEngine, "dart": DartEngine}
 
+if not backend_status("ode").problem:
+    from imolo_backends.ode_engine import OdeEngine, ode
+
+    ENGINES["ode"] = OdeEngine
+
 
 @dataclass
 class Recording:
     """What a trial did to its engine, step by step, and where that led.
 
     Attributes:
-        engine_class: The engine.
+        name: Of the engine.
         scene: How it started.
         options: The engine's own.
         joint_torque: Torques of each step [N·m], each of shape (J,).
@@ -31,7 +37,7 @@ class Recording:
         last_motion: Joint angles [rad], joint velocities [rad/s] and ball velocity [m/s] after the last step.
     """
 
-    engine_class: type[Any]
+    name: str
     scene: Scene = field(init=False)
     options: Model = field(init=False)
     joint_torque: list[Array] = field(default_factory=list)
@@ -44,21 +50,21 @@ class Recording:
         Raises:
             RuntimeError: It does not end where the trial ended.
         """
-        engine = self.engine_class(self.scene, self.options)
-        loop = BARE_LOOPS[self.engine_class](engine, np.array(self.joint_torque), np.array(self.ball_force))
+        engine = ENGINES[self.name](self.scene, self.options)
+        loop = BARE_LOOPS[self.name](engine, np.array(self.joint_torque), np.array(self.ball_force))
         begin = clock()
         loop()
         elapsed = clock() - begin
         if not all(map(np.array_equal, engine.motion(), self.last_motion)):
-            raise RuntimeError(f"the bare loop of {self.engine_class.__name__} went another way than the trial")
+            raise RuntimeError(f"the bare loop of {self.name} went another way than the trial")
         engine.close()
         return elapsed
 
 
 @contextmanager
-def recording(engine_class: type[Any]) -> Iterator[Recording]:
+def recording(name: str) -> Iterator[Recording]:
     """Record the trial that is run meanwhile."""
-    made = Recording(engine_class)
+    made, engine_class = Recording(name), ENGINES[name]
     create, step = engine_class.__init__, engine_class.step
 
     def spy_create(self: Engine, scene: Scene, options: Model) -> None:
@@ -122,8 +128,31 @@ def _dart_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[
     return loop
 
 
-BARE_LOOPS: dict[type[Any], Callable[[Any, Array, Array], Callable[[], None]]] = {
-    MujocoEngine: _mujoco_loop,
-    PybulletEngine: _pybullet_loop,
-    DartEngine: _dart_loop,
+def _ode_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    world, timestep, contacts = engine._world, engine._scene.timestep, engine._contact_joints
+    robot, fixed, ball, meet = engine._robot_space, engine._fixed_space, engine._ball_shape, engine._meet
+    add_torque, add_force, touches = engine._add_torque, engine._ball.addForce, engine._ball_touches
+    torque_lists, force_lists = joint_torque.tolist(), ball_force.tolist()
+
+    def loop() -> None:
+        for torques, force in zip(torque_lists, force_lists, strict=True):
+            for add, torque in zip(add_torque, torques, strict=True):
+                add(torque)
+            add_force(force)
+            # ODE has no contacts of its own: `meet` makes them, as every user of ODE must.
+            for one, other in ((robot, fixed), (ball, fixed), (ball, robot)):
+                ode.collide2(one, other, None, meet)
+            world.step(timestep)
+            while touches:
+                touches.pop()[0].setFeedback(False)
+            contacts.empty()
+
+    return loop
+
+
+BARE_LOOPS: dict[str, Callable[[Any, Array, Array], Callable[[], None]]] = {
+    "mujoco": _mujoco_loop,
+    "pybullet": _pybullet_loop,
+    "dart": _dart_loop,
+    "ode": _ode_loop,
 }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bare import ENGINES, recording
+from benchmarks.bare import recording
 from benchmarks.measurement import Measurement
 from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
@@ -16,7 +16,7 @@ from imolo.experiment.trial import run_trial
 from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import mocap_frame_t, trial_event_t
 
-TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3}
+TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.7}
 REPEATS = 7
 DURATION = 1.1  # [s] a throw, as long as the ball flies
 MOTION, ONSET = Theta(k=0.06, t_w=0.28), 0.5  # [s] the robot waits as long as for a real ball
@@ -59,7 +59,7 @@ def run(engine: str) -> list[Measurement]:
     with tempfile.TemporaryDirectory() as folder:
         log_path = Path(folder) / "trial.lcmlog"
         run_timed(config, log_path)  # compiles, and takes the start-up check out of the recording
-        with recording(ENGINES[engine]) as recorded:
+        with recording(engine) as recorded:
             run_timed(config, log_path)
         times = np.array([(run_timed(config, log_path), recorded.replay(clock)) for _ in range(REPEATS)])
     whole, alone = 1e6 * np.median(times, axis=0) / len(recorded.joint_torque)

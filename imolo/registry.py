@@ -59,6 +59,8 @@ def load_backend(name: str) -> BackendPlugin:
 
 
 def _how_to_install(entry_point: EntryPoint, error: ImportError) -> str:
-    distribution = entry_point.dist.name if entry_point.dist else "imolo"
-    # An optional dependency carries the name of the backend it brings.
-    return f"{error}; install it with: pip install '{distribution}[{entry_point.name}]'"
+    extras = entry_point.dist.metadata.get_all("Provides-Extra") or [] if entry_point.dist else []
+    # An optional dependency carries the name of the backend it brings; a backend without one says itself what to do.
+    if entry_point.dist is None or entry_point.name not in extras:
+        return str(error)
+    return f"{error}; install it with: pip install '{entry_point.dist.name}[{entry_point.name}]'"

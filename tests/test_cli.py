@@ -10,8 +10,10 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+from requirements import BACKENDS
 
 from imolo import registry
 from imolo.channels import TRIAL
@@ -19,8 +21,7 @@ from imolo.cli import main
 from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
-BACKENDS = ("dart", "mujoco", "pybullet")
-COMMANDS = ("backends", "check", "compare", "learn", "hit")
+COMMANDS = ("backends", "check", "compare", "learn", "hit", "attribute")
 GOOD = "backend: {name: mujoco}\n"
 
 Run = Callable[..., tuple[int, str, str]]
@@ -56,11 +57,11 @@ def is_one_line_about(errors: str, *parts: str) -> bool:
     )
 
 
-def test_backends_lists_every_engine_as_ready(run: Run) -> None:
+@pytest.mark.parametrize("name", BACKENDS)
+def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
     code, output, errors = run("backends")
     assert (code, errors) == (0, "")
-    for name in BACKENDS:
-        assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
+    assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -161,7 +162,7 @@ def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> Non
 
 @pytest.mark.usefixtures("without_pybullet")
 def test_missing_extra_leaves_the_other_backends_ready() -> None:
-    status = {name: registry.backend_status(name) for name in BACKENDS}
+    status = {name: registry.backend_status(name) for name in ("dart", "mujoco", "pybullet")}
     assert status["pybullet"].plugin is None
     assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
     assert (status["mujoco"].problem, status["dart"].problem) == ("", "")
@@ -325,6 +326,21 @@ def test_ctrl_c_ends_a_check_in_one_line(tmp_path: Path) -> None:
         process.kill()
     assert process.returncode == 130
     assert is_one_line_about(errors, "interrupted; 0 of", "scenes were done")
+
+
+@pytest.mark.parametrize("wrong", [None, ModuleType("ode")], ids=["none", "another package of this name"])
+def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
+    run: Run, monkeypatch: pytest.MonkeyPatch, wrong: ModuleType | None
+) -> None:
+    monkeypatch.setitem(sys.modules, "ode", wrong)
+    for module in ("ode_engine", "ode_model"):
+        monkeypatch.delitem(sys.modules, f"imolo_backends.{module}", raising=False)
+    Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
+    code, _, errors = run("compare", "experiment.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "backend 'ode' cannot be used", "make ode")
+    # PyPI has another package of this name.
+    assert "pip install" not in errors
 
 
 def logs(folder: Path) -> list[Path]:

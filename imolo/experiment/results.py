@@ -12,7 +12,19 @@ from pydantic import BaseModel
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ResultsError
 
-PACKAGES = ("imolo", "lcm", "numpy", "scipy", "scikit-learn", "filterpy", "numba", "mujoco-core", "pybullet", "dartpy")
+PACKAGES = (
+    "imolo",
+    "lcm",
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "filterpy",
+    "numba",
+    "mujoco-core",
+    "pybullet",
+    "dartpy",
+    "Py3ODE",
+)
 
 
 @dataclass(frozen=True)

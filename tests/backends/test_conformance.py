@@ -1,12 +1,20 @@
 """Every engine gives what the conformance kit knows to be true, or declares with its reason that it does not."""
 
+import pytest
+from requirements import AVAILABLE, BACKENDS
+
 from imolo.conformance.suite import Suite
 from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
-from imolo.registry import backend_names
+from imolo.registry import backend_status
 from imolo_backends.conformance import SCENES
 
 
-@parametrize_checks(*backend_names())
+@pytest.mark.parametrize("name", BACKENDS)
+def test_the_engine_is_there_to_be_checked(name: str) -> None:
+    assert backend_status(name).problem == ""
+
+
+@parametrize_checks(*AVAILABLE)
 def test_an_engine_gives_the_truth_or_declares_what_it_cannot(check: BackendCheck) -> None:
     assert_conforms(check)
 

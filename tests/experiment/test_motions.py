@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from requirements import BACKEND_NAMES, needs
 from trials import BACKENDS, COARSE, hand_in_truth, play_motion, quiet
 
 from imolo import channels
@@ -88,8 +89,8 @@ def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
 
 
 # At the friction of the experiments a flat foot slips a little when it leaves the box, which turns the robot: by 6 and
-# 5 % of the round soles' reach in MuJoCo and PyBullet, by 41 % in DART, whose friction is a pyramid. The claim is about
-# the shape, so it is tested where nothing slips.
+# 5 % of the round soles' reach in MuJoCo and PyBullet, by 41 % in DART and 47 % in ODE, with or without a pyramid. The
+# claim is about the shape, so it is tested where nothing slips.
 NO_SLIP = 3.0
 
 
@@ -105,12 +106,15 @@ def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("one", "other"), list(combinations(BACKENDS, 2)))
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [pytest.param(*pair, marks=needs(*pair)) for pair in combinations(BACKEND_NAMES, 2)],
+)
 def test_hands_of_two_engines_agree_over_table_iii(one: str, other: str) -> None:
     distance = [
         1e3 * np.linalg.norm(hand(motion(one, theta, timestep=FINE)) - hand(motion(other, theta, timestep=FINE)))
         for theta in TRAINING_MOTIONS
     ]
-    # Measured: mujoco - pybullet 11.3 ± 6.3, mujoco - dart 21.7 ± 9.9, pybullet - dart 14.5 ± 8.6 mm. The bound is the
-    # one the project has set itself.
+    # Measured: mujoco - pybullet 11.3 ± 6.3, mujoco - dart 21.7 ± 9.9, pybullet - dart 14.5 ± 8.6, mujoco - ode
+    # 20.1 ± 9.8, pybullet - ode 12.4 ± 6.4, dart - ode 3.9 ± 3.4 mm. The bound is the one the project has set itself.
     assert np.mean(distance) < 25.0

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trials import BACKENDS, config, event, mocap, play
+from requirements import AVAILABLE, BACKEND_NAMES, needs
+from trials import config, event, mocap, play
 
 from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
@@ -64,7 +65,13 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
     return Learned(build_table(CONFIG, method, data, ball_model), ball_model)
 
 
-@pytest.fixture(scope="module", params=itertools.product(BACKENDS, (0, 1)), ids=lambda p: f"{p[0]}-ball{p[1]}")
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((name, ball), marks=needs(name), id=f"{name}-ball{ball}")
+        for name, ball in itertools.product(BACKEND_NAMES, (0, 1))
+    ],
+)
 def hit(request: pytest.FixtureRequest, learned: Learned, tmp_path_factory: pytest.TempPathFactory) -> Log:
     backend, ball = request.param
     path = tmp_path_factory.mktemp("hit") / "log"
@@ -157,18 +164,18 @@ def test_one_planner_with_one_table_file_makes_every_backend_speak_alike(learned
     table = tmp_path / "table.npz"
     learned.table.save(table)
     logs = []
-    for backend in BACKENDS:
+    for backend in AVAILABLE:
         path = tmp_path / backend
         run_task(TrialTask(config(backend), Trial(TrialKind.HIT, 0, 1), path, "paper", table))
         logs.append(read_log(path))
     spoken = [{name: type(messages[0]) for name, messages in log.messages.items() if messages} for log in logs]
-    assert spoken == [{name: channel.message_type for name, channel in channels.CHANNELS.items()}] * len(BACKENDS)
+    assert spoken == [{name: channel.message_type for name, channel in channels.CHANNELS.items()}] * len(AVAILABLE)
     # When events happen and motions start is the engine's and the planner's to say.
     clocked = set(channels.CHANNELS) - {channels.TRIAL, channels.VALVE_COMMAND}
     end = min(log.messages[channels.TRIAL][-1].utime for log in logs) - SLICE
     for name in clocked:
         clocks = [[message.utime for message in log.messages[name] if message.utime < end] for log in logs]
-        assert clocks == [clocks[0]] * len(BACKENDS), name
+        assert clocks == [clocks[0]] * len(AVAILABLE), name
 
 
 def test_table_of_another_robot_ends_the_trial(learned: Learned, tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from unittest import mock
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from trials import BACKENDS, COARSE, Commander, events, play, quiet
+from requirements import AVAILABLE
+from trials import COARSE, Commander, events, play, quiet
 
 from imolo.backend import EventName
 from imolo.config.simulation import PneumaticsConfig
@@ -56,7 +57,7 @@ def test_any_valid_commands_switch_at_the_same_times_on_every_backend(commands: 
     times = STEP * np.arange(round(DURATION / COARSE))
     at_times = [commands.target(int(time)) for time in times]
     expected = [REST if target is None else target for target in at_times]
-    for backend in BACKENDS:
+    for backend in AVAILABLE:
         targets, log = executed(backend, commands)
         assert np.array_equal(targets, expected), backend
         (onset,) = events(log, EventName.ONSET)

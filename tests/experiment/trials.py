@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from requirements import BACKENDS as BACKENDS
 
 from imolo import channels
 from imolo.backend import Trial, TrialKind
@@ -16,7 +17,6 @@ from imolo.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, valve_command_t
 
-BACKENDS = ("mujoco", "pybullet", "dart")  # required: load_backend fails where one is missing
 COARSE = 5e-4  # [s] for claims that are not about the precision of the physics
 UNDISTURBED = {"profile": "none"}
 PERFECT_CAMERAS = {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 0.0, "unlabelled": 0.0}

@@ -61,6 +61,19 @@ def joint_torque(subject: Subject) -> Iterator[Measurement]:
     yield from subject.converge(free, 10.0, duration, errors)
 
 
+def turns(subject: Subject) -> Iterator[Measurement]:
+    """A joint without limits counts its turns, from wherever it starts."""
+    torque, duration, timestep = 1.0, 3.0, 1e-3
+    scene = at_timestep(replace(pendulum_scene(), gravity=WEIGHTLESS), timestep)
+    lead = timestep if subject.order == 1 else 0.0
+    for start in (0.0, 7.0, -7.0):
+        way = float(np.copysign(0.5 * torque / ROD_ABOUT_END * duration * (duration + lead), start))
+        from_start = replace(scene, joint_angle=(start,))
+        state = subject.final_state(from_start, duration, np.array([np.copysign(torque, start)]))
+        measured = float(state.joint_angle[0])
+        yield Measurement(f"angle from {start:g} on", "rad", start + way, measured, 1e-4 * abs(way), "½ τ t² / I")
+
+
 def spinning_joint(subject: Subject) -> Iterator[Measurement]:
     """A spinning rod keeps its speed for 10 s."""
     speed, timestep = 5.0, 1e-3
@@ -127,7 +140,7 @@ def double_pendulum(subject: Subject) -> Iterator[Measurement]:
 
 def mass_matrix(subject: Subject) -> Iterator[Measurement]:
     """From rest, a step under the torque of one joint gives the robot what the mass matrix says."""
-    timestep, torque = 1e-4, 0.01
+    timestep, torque = 1e-4, 0.3
     scene = flying_robot(timestep=timestep, gravity=WEIGHTLESS, joint_angle=tuple(CROOKED.tolist()))
     inverse = np.linalg.inv(Mechanism(scene).mass_matrix(CROOKED, np.eye(3)))[6:, 6:]
     for joint, name in enumerate(JOINT_NAMES):
@@ -206,6 +219,7 @@ def joint_limits(subject: Subject) -> Iterator[Measurement]:
 
 SCENES: tuple[SceneCheck, ...] = (
     joint_torque,
+    turns,
     spinning_joint,
     rod_pendulum,
     double_pendulum,

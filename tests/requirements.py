@@ -1,0 +1,30 @@
+"""What tests need that `make test` does not install: where it is missing they are skipped, saying how to get it.
+
+`IMOLO_REQUIRE`, a comma-separated list of such things, makes them fail instead; `.ci/run` sets it. What is not listed
+in `OPTIONAL` is always required, so that the matrix cannot shrink unseen.
+"""
+
+import os
+
+import pytest
+
+from imolo.registry import backend_status
+
+OPTIONAL = {"ode": lambda: backend_status("ode").problem}
+"""By name: a function that says what is missing and how to get it; an empty text where nothing is."""
+
+REQUIRED = {name.strip() for name in os.environ.get("IMOLO_REQUIRE", "").split(",")} - {""}
+if unknown := REQUIRED - set(OPTIONAL):
+    raise pytest.UsageError(f"IMOLO_REQUIRE names {sorted(unknown)}; known: {sorted(OPTIONAL)}")
+
+
+def needs(*names: str) -> list[pytest.MarkDecorator]:
+    """Return the marks of a test that needs these."""
+    problems = [problem for name in names if name in OPTIONAL and name not in REQUIRED if (problem := OPTIONAL[name]())]
+    return [pytest.mark.skip(reason="; ".join(problems))] if problems else []
+
+
+BACKEND_NAMES = ("mujoco", "pybullet", "dart", "ode")
+BACKENDS = [pytest.param(name, marks=needs(name)) for name in BACKEND_NAMES]
+AVAILABLE = tuple(name for name in BACKEND_NAMES if not needs(name))
+"""The backends of a test that runs several of them at once."""
