@@ -11,7 +11,7 @@ from trials import BACKENDS, config, event, mocap, play
 
 from imolo import channels
 from imolo.backend import EventName, TrialKind
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallModel
 from imolo.bus import Bus
 from imolo.errors import TableFileError
 from imolo.experiment.campaign import learning_tasks, run_tasks
@@ -43,7 +43,7 @@ LEAD = round(PlannerConfig().lead_time * 1e6)  # [µs]
 @dataclass(frozen=True)
 class Learned:
     table: LookupTable
-    ball_model: LinearBallModel
+    ball_model: BallModel
 
     def planner(self, robot: str | None = None, **values: bool) -> Planner:
         table = self.table
@@ -57,7 +57,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
     tasks = learning_tasks(FEW_THROWS, tmp_path_factory.mktemp("learning"))
     run_tasks(tasks, jobs=1)
     by_kind = {kind: [task.log_path for task in tasks if task.trial.kind is kind] for kind in TrialKind}
-    ball_model = learn_ball(CONFIG, by_kind[TrialKind.THROW])
+    ball_model = learn_ball(CONFIG.methods["paper"], by_kind[TrialKind.THROW])
     data = learn_motions(CONFIG, by_kind[TrialKind.TRAINING])
     method = CONFIG.methods["paper"].model_copy(update={"grid": GRID, "forward_model": QUICK})
     return Learned(build_table(CONFIG, method, data, ball_model), ball_model)
