@@ -20,8 +20,8 @@ def before_bounce(time: Array, position: Array) -> Flight:
 
     Where a ball touches something its velocity jumps. Quadratics are fitted on both sides of every sample; a jump that
     is certain against their noise, and larger than what gravity does within a window, parts the track if it takes at
-    least half of a downward velocity, which is a bounce, or is half of the speed, as a launch or a hit. Of the parts before the first bounce the longest one that
-    falls is the flight.
+    least half of a downward velocity, which is a bounce, or is half of the speed, as a launch or a hit. Of the parts
+    before the first bounce the longest one that falls is the flight.
 
     Args:
         time: Time of the samples, increasing, gaps allowed [s], shape (N,).
@@ -64,7 +64,7 @@ def _kinks(time: Array, position: Array) -> list[tuple[int, bool]]:
     splits = np.arange(size, len(time) - size + 1)
     if not len(splits):
         return []
-    fits = [_two_sides(time, position, split, size) for split in splits]
+    fits = [_two_sides(time, position, int(split), size) for split in splits]
     before, after = (np.array([fit[side] for fit in fits]) for side in (0, 1))
     rms, lever = np.array([fit[2] for fit in fits]), np.array([fit[3] for fit in fits])
     noise = np.median(rms, axis=0) + 1e-9
