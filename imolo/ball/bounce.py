@@ -72,7 +72,7 @@ def _kinks(time: Array, position: Array) -> list[tuple[int, bool]]:
     deviation = noise * lever[:, None]
     size_of_jump = np.linalg.norm(jump, axis=1)
     gravity_in_window = np.linalg.norm(GRAVITY) * np.array([time[s + size - 1] - time[s] for s in splits])
-    bouncing = (before[:, 2] < 0.0) & (
+    bouncing = (before[:, 2] < -CERTAIN * deviation[:, 2]) & (
         jump[:, 2] > np.max([-LEAST_CHANGE * before[:, 2], CERTAIN * deviation[:, 2], gravity_in_window], axis=0)
     )
     faster = np.maximum(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
