@@ -9,7 +9,7 @@ release if the first samples agree with it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -54,6 +54,10 @@ class AerodynamicBallModel:
     prior_mean: Array
     prior_std: Array
     errors: tuple[PredictionError, ...] = ()
+
+    def with_density(self, density: float) -> "AerodynamicBallModel":
+        """Return the same model with another process noise [m²/s³]."""
+        return replace(self, acceleration_density=density)
 
     def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
         """Estimate the state at the last of a few samples: maximum a posteriori, by Gauss-Newton.

@@ -48,7 +48,7 @@ def fit_ball_model(flights: Sequence[Flight], config: BallModelConfig | None = N
     choices = list(product(fits, densities))
 
     def left_out(name: str, density: float) -> list[LinearBallModel | AerodynamicBallModel]:
-        return [replace(fold, acceleration_density=density) for fold in folds[name]]
+        return [fold.with_density(density) for fold in folds[name]]
 
     best = choices[0]
     if len(choices) > 1:

@@ -1,7 +1,7 @@
 """The linear model of the flying ball, x(t + Δt) = A x(t) + B (paper Sec. V-C)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -51,6 +51,7 @@ class LinearBallModel:
     structure: Structure = "full"
     errors: tuple[PredictionError, ...] = ()
     _generator: Array = field(init=False, repr=False)
+    _affine: dict[int, Array] = field(init=False, repr=False, default_factory=dict)
     _transitions: dict[int, tuple[Array, Array, Array]] = field(init=False, repr=False, default_factory=dict)
     _powers: list[Array] = field(init=False, repr=False, default_factory=list)
 
@@ -79,10 +80,19 @@ class LinearBallModel:
         if found is None:
             if len(self._transitions) >= 4096:
                 self._transitions.clear()
-            affine = exponential(self._generator * (key * 1e-6))
+                self._affine.clear()
+            affine = self._affine.get(key)
+            if affine is None:
+                affine = self._affine[key] = exponential(self._generator * (key * 1e-6))
             found = (affine[:6, :6], affine[:6, 6], white_acceleration(self.acceleration_density, abs(key) * 1e-6))
             self._transitions[key] = found
         return found
+
+    def with_density(self, density: float) -> "LinearBallModel":
+        """Return the same model with another process noise [m²/s³]; both share the exponentials worked out so far."""
+        model = replace(self, acceleration_density=density)
+        object.__setattr__(model, "_affine", self._affine)
+        return model
 
     def predict(self, state: Array, steps: int) -> Array:
         """Predict the coming states by iterating x ← A x + B (Sec. V-C).

@@ -134,5 +134,8 @@ class BallModel(Protocol):
 
 def white_acceleration(density: float, duration: float) -> Array:
     """Return the covariance, shape (6, 6), that a white acceleration of this density [m²/s³] adds in `duration` [s]."""
-    moments = np.array([[duration**3 / 3.0, duration**2 / 2.0], [duration**2 / 2.0, duration]])
-    return np.kron(density * moments, np.eye(3)).astype(np.float64)
+    noise, axes = np.zeros((6, 6)), np.arange(3)
+    noise[axes, axes] = density * (duration**3 / 3.0)
+    noise[axes, axes + 3] = noise[axes + 3, axes] = density * (duration**2 / 2.0)
+    noise[axes + 3, axes + 3] = density * duration
+    return noise

@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
@@ -66,18 +67,19 @@ def draw_evaluation(evaluation: Evaluation, path: Path) -> None:
     """Draw error and calibration against the lead time, both for the last point of each flight."""
     with mpl.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.0, 3.4), layout="constrained")
-        error, inside = figure.subplots(1, 2, width_ratios=(3, 2))
+        error, calibration = figure.subplots(1, 2, width_ratios=(3, 2))
         for model in dict.fromkeys(rating.model for rating in evaluation.ratings):
             ratings = [r for r in evaluation.ratings if r.model == model and r.protocol == PROTOCOLS[0]]
             if not ratings:
                 continue
-            _draw_model(error, inside, ratings)
+            _draw_model(error, calibration, ratings)
         error.set(xlabel="lead time [s]", ylabel="distance to the ball [mm]", xlim=(0.0, None), ylim=(0.0, None))
         error.set_title("Error: mean, and 5 to 95 % of the flights", loc="left", fontsize=9)
         error.legend(loc="upper left")
-        inside.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
-        inside.set(xlabel="lead time [s]", ylabel="NEES / 3", yscale="log", xlim=(0.0, None))
-        inside.set_title("Calibration: 1 is right, more is too sure", loc="left", fontsize=9)
+        calibration.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+        calibration.set(xlabel="lead time [s]", ylabel="NEES / 3", yscale="log", xlim=(0.0, None))
+        _include_decade(calibration)
+        calibration.set_title("Calibration: 1 is right, more is too sure", loc="left", fontsize=9)
         figure.savefig(path, facecolor="white")
 
 
@@ -89,3 +91,12 @@ def _draw_model(error: Axes, calibration: Axes, ratings: list[Rating]) -> None:
     means = [1e3 * rating.mean for rating in ratings]
     error.plot(horizons, means, color=color, marker="o", markersize=4, label=MODEL_NAMES[model])
     calibration.plot(horizons, [rating.nees for rating in ratings], color=color, marker="o", markersize=4)
+
+
+def _include_decade(axes: Axes) -> None:
+    """Show at least 0.2 to 5, so that a calibration near 1 looks as near as it is; label 0.1, 0.2, 0.5, 1, ..."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.2), max(high, 5.0))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_locator(NullLocator())
