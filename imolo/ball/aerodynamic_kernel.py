@@ -55,22 +55,45 @@ def _sensitivity_rate(state: Array, sensitivity: Array) -> Array:
 
 
 @njit(cache=True)
-def _step(state: Array, h: float) -> Array:
-    a = _derivative(state)
-    b = _derivative(state + 0.5 * h * a)
-    c = _derivative(state + 0.5 * h * b)
-    d = _derivative(state + h * c)
-    later: Array = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-    return later
+def _acceleration(
+    vx: float, vy: float, vz: float, k: float, wx: float, wy: float, wz: float
+) -> tuple[float, float, float]:
+    drag = k * math.sqrt(vx * vx + vy * vy + vz * vz)
+    return (
+        wy * vz - wz * vy - drag * vx,
+        wz * vx - wx * vz - drag * vy,
+        wx * vy - wy * vx - drag * vz - GRAVITY,
+    )
 
 
 @njit(cache=True)
 def fly(state: Array, step: float, steps: int) -> Array:
-    """Return the states `step`, 2 `step`, ... later, shape (steps, n), by one RK4 step each."""
+    """Return the states `step`, 2 `step`, ... later, shape (steps, n), by one RK4 step each.
+
+    In scalars, since the planner does this for every frame.
+    """
     path = np.empty((steps, len(state)))
+    path[:] = state
+    x, y, z = state[0], state[1], state[2]
+    vx, vy, vz, k = state[3], state[4], state[5], state[6]
+    wx = wy = wz = 0.0
+    if len(state) > 7:
+        wx, wy, wz = state[7], state[8], state[9]
+    h, half, sixth = step, 0.5 * step, step / 6.0
     for i in range(steps):
-        state = _step(state, step)
-        path[i] = state
+        ax, ay, az = _acceleration(vx, vy, vz, k, wx, wy, wz)
+        bx, by, bz = _acceleration(vx + half * ax, vy + half * ay, vz + half * az, k, wx, wy, wz)
+        cx, cy, cz = _acceleration(vx + half * bx, vy + half * by, vz + half * bz, k, wx, wy, wz)
+        dx, dy, dz = _acceleration(vx + h * cx, vy + h * cy, vz + h * cz, k, wx, wy, wz)
+        # The velocity's own stages, summed.
+        x += h * (vx + sixth * (ax + bx + cx))
+        y += h * (vy + sixth * (ay + by + cy))
+        z += h * (vz + sixth * (az + bz + cz))
+        vx += sixth * (ax + 2.0 * (bx + cx) + dx)
+        vy += sixth * (ay + 2.0 * (by + cy) + dy)
+        vz += sixth * (az + 2.0 * (bz + cz) + dz)
+        path[i, 0], path[i, 1], path[i, 2] = x, y, z
+        path[i, 3], path[i, 4], path[i, 5] = vx, vy, vz
     return path
 
 
