@@ -28,7 +28,7 @@ AerodynamicKind = Literal["drag", "spin"]
 
 STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
-ITERATIONS = 4  # of Gauss-Newton on the first samples; the second changes nothing that a camera could see
+ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
 _ON = np.ones(1)
 _LAUNCH_GATE = float(chi2.ppf(0.999, 3))
 
@@ -156,7 +156,12 @@ class AerodynamicBallModel:
 
 
 def most_likely_start(
-    time: Array, position: Array, measurement_std: Array, prior_mean: Array, prior_std: Array
+    time: Array,
+    position: Array,
+    measurement_std: Array,
+    prior_mean: Array,
+    prior_std: Array,
+    iterations: int = ITERATIONS,
 ) -> tuple[Array, Array, Array]:
     """Estimate the state at the first sample of a flight, maximum a posteriori, by Gauss-Newton.
 
@@ -166,6 +171,7 @@ def most_likely_start(
         measurement_std: Of a coordinate [m], shape (3,).
         prior_mean: Of velocity, k and perhaps ω, shape (n - 3,).
         prior_std: Their standard deviations, shape (n - 3,); the position has no prior.
+        iterations: Of Gauss-Newton.
 
     Returns:
         State, shape (n,); its covariance, shape (n, n); residuals [m], shape (N, 3).
@@ -176,7 +182,7 @@ def most_likely_start(
     state = np.concatenate([line[0], line[1], prior_mean[3:]])
     weight = np.concatenate([np.zeros(3), prior_std**-2.0])
     mean, precision = np.concatenate([np.zeros(3), prior_mean]), measurement_std**-2.0
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         by_axis, gradient, _ = normal_equations(state, time, position)
         information = np.tensordot(precision, by_axis, 1) + np.diag(weight)
         state = state + np.linalg.solve(information, precision @ gradient + weight * (mean - state))

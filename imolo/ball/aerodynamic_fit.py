@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 # second, about the most a player gives it, has ω = 3 /s.
 VAGUE_DRAG, VAGUE_LIFT = 1.0, 3.0  # standard deviations [1/m], [1/s]
 LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 0.01, 0.01, 0.01])  # [m/s], [1/m], [1/s] assumed: no two flights agree
+ITERATIONS = 4  # of Gauss-Newton on a whole flight; one more changes nothing that a camera could see
 EM_STEPS = 100  # the means settle within ten
 TYPICAL_NOISE = 1e-3  # [m] weighs measurements against the vague prior, which hardly counts
 
@@ -96,7 +97,7 @@ class AerodynamicFit:
 
     def _linearise(self, flight: Flight) -> _Linearised:
         mean, std = np.zeros_like(self._vague_std), np.full(3, TYPICAL_NOISE)
-        state, _, _ = most_likely_start(flight.time, flight.position, std, mean, self._vague_std)
+        state, _, _ = most_likely_start(flight.time, flight.position, std, mean, self._vague_std, ITERATIONS)
         return _Linearised(state, *normal_equations(state, flight.time, flight.position))
 
     def _population(self, evidence: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
