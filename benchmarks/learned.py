@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imolo.backend import TrialKind
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallModel
 from imolo.config.experiment import BackendConfig, ExperimentConfig
 from imolo.experiment.campaign import learning_tasks, run_tasks
 from imolo.experiment.learning import learn_ball, learn_motions
@@ -17,12 +17,12 @@ class Learned:
 
     Attributes:
         config: Of the experiment; its methods are the ones to measure.
-        ball_model: How balls fly.
+        ball_models: How balls fly, by method.
         data: How the robot moves.
     """
 
     config: ExperimentConfig
-    ball_model: LinearBallModel
+    ball_models: dict[str, BallModel]
     data: TrainingData
 
 
@@ -33,4 +33,5 @@ def learn(folder: Path) -> Learned:
     run_tasks(tasks, jobs=-1)
     throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]
     motions = [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING]
-    return Learned(config, learn_ball(config, throws), learn_motions(config, motions))
+    ball_models = {name: learn_ball(method, throws) for name, method in config.methods.items()}
+    return Learned(config, ball_models, learn_motions(config, motions))

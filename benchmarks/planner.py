@@ -31,7 +31,7 @@ def run(learned: Learned, method: str, table: LookupTable, folder: Path) -> list
     run_tasks(tasks, jobs=-1)
     config = learned.config
     bus = Bus()
-    planner = Planner(table, learned.ball_model, config.methods[method].planner, config.tracker)
+    planner = Planner(table, learned.ball_models[method], config.methods[method].planner, config.tracker)
     planner.attach(bus)
     commands: list[object] = []
     bus.subscribe(channels.VALVE_COMMAND, commands.append)

@@ -32,7 +32,7 @@ def run(learned: Learned, method: str) -> tuple[list[Measurement], LookupTable]:
     started = time.perf_counter()
     # As an experiment does it: one thread.
     with threadpool_limits(limits=1):
-        table = build_table(learned.config, learned.config.methods[method], learned.data, learned.ball_model)
+        table = build_table(learned.config, learned.config.methods[method], learned.data, learned.ball_models[method])
     elapsed = time.perf_counter() - started
     query, tree = _compare(table)
     subject = f"table, {method}"

@@ -187,6 +187,49 @@ def hit(
 
 
 @app.command()
+def ball(
+    config: Annotated[
+        Path | None, typer.Argument(help="YAML of a backend whose thrower is to throw, unless --data is given.")
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="CSV of recorded flights: flight,time_s,x_m,y_m,z_m.")] = None,
+    models: Annotated[str, typer.Option(help="Ball models to rate, with commas.")] = "linear,drag,spin",
+    horizons: Annotated[
+        str | None, typer.Option(help="Lead times [s], with commas [default: recorded .1 to .4, simulated .25 to .75].")
+    ] = None,
+    throws: Annotated[int, typer.Option(min=4, help="Number of simulated throws.")] = 24,
+    out: Out = Path("results/ball"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Rate ball models on recorded or simulated flights by leave-one-out: error against lead time, and calibration.
+
+    Writes ball.json and ball.png to the results folder.
+    """
+    from imolo.config.experiment import load_config
+    from imolo.experiment import ball_report, ball_study
+    from imolo.experiment.results import ResultsFolder
+
+    if (config is None) == (data is None):
+        raise ConfigError("give either the config of a backend or --data FILE")
+    study = ball_study.Study(
+        models=ball_study.parse_models(models),
+        horizons=ball_study.parse_horizons(horizons, recorded=data is not None),
+    )
+    folder = ResultsFolder(out)
+    folder.prepare()
+    with _Bars(_kept_in(out)) as bars:
+        if data is not None:
+            result = study.rate_recorded(data, jobs, bars.show)
+        elif config is not None:
+            chosen = _override(load_config(config), seed, None)
+            result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
+    console.print(ball_report.render_evaluation(result))
+    folder.save_json("ball.json", result)
+    ball_report.draw_evaluation(result, out / "ball.png")
+    console.print(f"ball.json and ball.png are in {out}")
+
+
+@app.command()
 def attribute(
     first: Annotated[str, typer.Argument(help="A backend by name, or a YAML that configures it.")],
     second: Annotated[str, typer.Argument(help="The other one.")],

@@ -21,7 +21,7 @@ from imolo.cli import main
 from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
-COMMANDS = ("backends", "check", "compare", "learn", "hit", "attribute")
+COMMANDS = ("backends", "check", "compare", "learn", "hit", "ball", "attribute")
 GOOD = "backend: {name: mujoco}\n"
 
 Run = Callable[..., tuple[int, str, str]]

@@ -1,1 +1,1 @@
-"""The flying ball: its linear model, how it is fitted, and how the ball is followed (paper Sec. V-C)."""
+"""The flying ball: models of its motion, how they are fitted, and how the ball is followed (paper Sec. V-C)."""

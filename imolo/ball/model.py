@@ -1,21 +1,46 @@
-"""The linear model of the flying ball, x(t + Δt) = A x(t) + B (paper Sec. V-C)."""
+"""What tracker, planner and evaluation need to know of a flying ball, whatever its equation of motion."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from imolo.config.model import Model, NonNegative, Positive
-from imolo.errors import TableFileError, TrainingDataError
 
 Array = NDArray[np.float64]
-Structure = Literal["diagonal", "full"]
-_State = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
-_ON = np.ones(1)  # the control input that switches B on
+Kind = Literal["linear", "drag", "spin"]
+KINDS: tuple[Kind, ...] = ("linear", "drag", "spin")
+
+
+class BallModelConfig(Model):
+    """Which ball model, and how it is fitted."""
+
+    kind: Kind = Field(
+        "linear", description="x ← A x + B (Sec. V-C), or gravity and quadratic drag, or these and Magnus lift"
+    )
+    time_step: Annotated[float, Field(gt=0.0, le=0.05)] = Field(0.0083, description="Δt [s], Sec. VII-B")
+    structure: Literal["auto", "diagonal", "full"] = Field(
+        "auto",
+        description="of the linear model: v' = diag(a) v + b, v' = M v + b, or what predicts left-out throws better",
+    )
+    horizons: tuple[Positive, ...] = Field((0.25, 0.50, 0.75), description="lead times of the report [s], Sec. VII-C")
+    selection_horizon: Positive = Field(
+        0.50,
+        description="lead time that structure and process noise are chosen at [s]; half the longest flight if none is "
+        "that long",
+    )
+    settling_time: NonNegative = Field(
+        0.10, description="observation of a throw before its first rated prediction [s], assumed"
+    )
+    min_duration: Positive = Field(0.30, description="shortest accepted flight [s], assumed")
+    acceleration_density: Positive | None = Field(
+        None, description="process noise: spectral density of a white acceleration [m²/s³]; none: from the data"
+    )
+    density_grid: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
+        (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1, 1.0, 3.0), description="candidates for acceleration_density [m²/s³]"
+    )
 
 
 class PredictionError(Model):
@@ -28,210 +53,89 @@ class PredictionError(Model):
     count: int = Field(description="number of predictions")
 
 
-@dataclass(frozen=True, eq=False)
-class LinearBallModel:
-    """x(t + Δt) = A x(t) + B with its noise, x = (position [m], velocity [m/s]) (Sec. V-C).
-
-    Times that are no multiple of Δt are served by the one continuous system ẋ = F x + g that passes through the same
-    states: the logarithm of A and B. It makes 120 Hz frames (8.333 ms), lost frames and Δt = 8.3 ms agree exactly.
+class BallFilter(Protocol):
+    """A running Kalman filter: filterpy's.
 
     Attributes:
-        A: State transition over `time_step`, shape (6, 6).
-        B: Offset over `time_step` [m, m/s], shape (6,).
-        time_step: Δt [s].
-        acceleration_density: Process noise, spectral density of a white acceleration [m²/s³].
-        measurement_std: Standard deviation of a measured coordinate [m], shape (3,).
-        residual_rms: Deviation of the measured throws from the fitted ones per axis: noise and misfit [m], shape (3,).
-        structure: Structure of the fitted velocity rates.
-        errors: Leave-one-out prediction errors; empty for a model that was not fitted.
-
-    Raises:
-        TrainingDataError: A is no step of a smooth motion: an eigenvalue is not near 1.
+        x: State, shape (n,): position [m], velocity [m/s], then what the model adds.
+        P: Its covariance, shape (n, n).
+        R: Covariance of a measured position [m²], shape (3, 3).
     """
 
-    A: Array
-    B: Array
-    time_step: float
-    acceleration_density: float
-    measurement_std: Array
-    residual_rms: Array = field(default_factory=lambda: np.zeros(3))
-    structure: Structure = "full"
-    errors: tuple[PredictionError, ...] = ()
-    _generator: Array = field(init=False, repr=False)
-    _transitions: dict[int, tuple[Array, Array, Array]] = field(init=False, repr=False, default_factory=dict)
-    _powers: list[Array] = field(init=False, repr=False, default_factory=list)
+    x: Array
+    P: Array
+    R: Array
 
-    def __post_init__(self) -> None:
-        farthest = float(np.abs(np.linalg.eigvals(self.A) - 1.0).max())
-        if not farthest < 0.5:
-            raise TrainingDataError(
-                f"an eigenvalue of the ball model's A is {farthest:.3g} away from 1, too far for one step of a smooth"
-                " motion; fit it again"
-            )
-        affine = np.eye(7)
-        affine[:6, :6], affine[:6, 6] = self.A, self.B
-        object.__setattr__(self, "_generator", _logarithm(affine) / self.time_step)
+    def update(self, z: Array) -> None:
+        """Correct the state by a measured position [m], shape (3,)."""
 
-    def transition(self, duration: float) -> tuple[Array, Array, Array]:
-        """Return A, B and the process noise over any duration, to the microsecond.
 
-        Args:
-            duration: Time to bridge, may be negative [s].
+class BallModel(Protocol):
+    """The motion of a flying ball, x = (position, velocity, ...) of n >= 6 components, and its noise."""
 
-        Returns:
-            A, shape (6, 6); B, shape (6,); Q, the covariance of x that has accrued, shape (6, 6).
-        """
-        key = round(duration * 1e6)
-        found = self._transitions.get(key)
-        if found is None:
-            if len(self._transitions) >= 4096:
-                self._transitions.clear()
-            affine = exponential(self._generator * (key * 1e-6))
-            found = (affine[:6, :6], affine[:6, 6], _white_acceleration(self.acceleration_density, abs(key) * 1e-6))
-            self._transitions[key] = found
-        return found
+    @property
+    def kind(self) -> Kind:
+        """Name in a config and in a stored model."""
 
-    def predict(self, state: Array, steps: int) -> Array:
-        """Predict the coming states by iterating x ← A x + B (Sec. V-C).
+    @property
+    def time_step(self) -> float:
+        """Step of `predict` [s]."""
 
-        Args:
-            state: Current state [m, m/s], shape (6,).
-            steps: Number of time steps.
+    @property
+    def acceleration_density(self) -> float:
+        """Process noise: spectral density of a white acceleration [m²/s³]."""
 
-        Returns:
-            States Δt, 2Δt, ... steps·Δt later [m, m/s], shape (steps, 6).
-        """
-        powers, offsets, _ = self._stacks(steps)
-        predicted: Array = (powers[: 6 * steps] @ state).reshape(steps, 6) + offsets[:steps]
-        return predicted
+    @property
+    def measurement_std(self) -> Array:
+        """Standard deviation of a measured coordinate [m], shape (3,)."""
 
-    def predict_covariance(self, covariance: Array, steps: int) -> Array:
-        """Predict the covariances that belong to `predict`.
-
-        Args:
-            covariance: Covariance of the current state, shape (6, 6).
-            steps: Number of time steps.
-
-        Returns:
-            Covariances Δt, 2Δt, ... steps·Δt later, shape (steps, 6, 6).
-        """
-        powers, _, noise = self._stacks(steps)
-        stacked = powers[: 6 * steps].reshape(steps, 6, 6)
-        predicted: Array = stacked @ covariance @ stacked.transpose(0, 2, 1) + noise[:steps]
-        return predicted
-
-    def _stacks(self, steps: int) -> list[Array]:
-        """Return A^n, (6N, 6), ΣA^i B, (N, 6), and ΣA^i Q A^iᵀ, (N, 6, 6), for n = 1 ... N with N >= steps."""
-        if not self._powers or len(self._powers[1]) < steps:
-            power, offset, noise = np.eye(6), np.zeros(6), np.zeros((6, 6))
-            step_noise = _white_acceleration(self.acceleration_density, self.time_step)
-            rows = []
-            for _ in range(max(256, steps)):
-                power, offset, noise = self.A @ power, self.A @ offset + self.B, self.A @ noise @ self.A.T + step_noise
-                rows.append((power, offset, noise))
-            self._powers[:] = [np.concatenate([r[0] for r in rows]), *(np.array([r[i] for r in rows]) for i in (1, 2))]
-        return self._powers
+    @property
+    def errors(self) -> tuple[PredictionError, ...]:
+        """Leave-one-out prediction errors; empty for a model that was not fitted."""
 
     def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
-        """Estimate the state at the last of a few samples by least squares.
+        """Estimate the state at the last of a few samples.
 
         Args:
             time: Time of the samples [s], shape (N,), N >= 2.
             position: Measured positions [m], shape (N, 3).
 
         Returns:
-            State, shape (6,); its covariance, shape (6, 6); sum of the squared normalised residuals, which is
+            State, shape (n,); its covariance, shape (n, n); sum of the squared normalised residuals, which is
             χ² distributed with 3N - 6 degrees of freedom if the samples are of a free flight.
         """
-        bridges = [self.transition(t - time[-1]) for t in time]
-        weight = np.tile(1.0 / self.measurement_std, len(time))
-        design = np.concatenate([A[:3] for A, _, _ in bridges]) * weight[:, None]
-        target = (position - np.array([B[:3] for _, B, _ in bridges])).ravel() * weight
-        covariance = np.linalg.inv(design.T @ design)
-        state = covariance @ (design.T @ target)
-        residual = target - design @ state
-        return state, covariance + self.transition(time[-1] - time[0])[2], float(residual @ residual)
 
-    def make_filter(self, state: Array, covariance: Array) -> KalmanFilter:
-        """Return a Kalman filter of the ball (Sec. V-C) that starts from a state, shape (6,), and its covariance."""
-        kalman = KalmanFilter(dim_x=6, dim_z=3, dim_u=1)
-        kalman.x, kalman.P = state.copy(), covariance.copy()
-        kalman.H = np.eye(3, 6)
-        kalman.R = np.diag(self.measurement_std**2)
-        return kalman
+    def make_filter(self, state: Array, covariance: Array) -> BallFilter:
+        """Return a filter that starts from a state, shape (n,), and its covariance, shape (n, n)."""
 
-    def advance(self, kalman: KalmanFilter, duration: float) -> None:
-        """Let a filter predict `duration` [s] ahead; B enters as its control input (Sec. V-C)."""
-        A, B, Q = self.transition(duration)
-        kalman.predict(u=_ON, B=B[:, None], F=A, Q=Q)
+    def advance(self, kalman: Any, duration: float) -> None:
+        """Let a filter of `make_filter` predict `duration` [s] ahead."""
+
+    def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
+        """Return state, shape (n,), and covariance, shape (n, n), `duration` [s] later."""
+
+    def predict(self, state: Array, steps: int) -> Array:
+        """Return the states 1, 2, ... `steps` time steps later, shape (steps, n)."""
+
+    def predict_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
+        """Return the covariances that belong to `predict`, shape (steps, n, n)."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the model as plain numbers and lists, fit for JSON; `from_dict` restores it bit by bit."""
-        values = {name: getattr(self, name) for name in _StoredModel.model_fields}
-        plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
-        return _StoredModel.model_validate(plain).model_dump(mode="json")
+        """Return the model as plain numbers and lists with its kind, fit for JSON."""
 
     @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> "LinearBallModel":
+    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
         """Restore a model from `to_dict`.
 
         Raises:
             TableFileError: A key is missing or unknown, or a value has the wrong shape or is not finite.
         """
-        try:
-            values = _StoredModel.model_validate(stored)
-            return cls(
-                A=np.array(values.A),
-                B=np.array(values.B),
-                time_step=values.time_step,
-                acceleration_density=values.acceleration_density,
-                measurement_std=np.array(values.measurement_std),
-                residual_rms=np.array(values.residual_rms),
-                structure=values.structure,
-                errors=values.errors,
-            )
-        except (ValidationError, TrainingDataError) as error:
-            raise TableFileError(f"the stored ball model is damaged; fit and save it again: {error}") from error
 
 
-# SciPy's expm and logm share even these 7 x 7 matrices among threads: 20 µs become 20 ms on a busy machine.
-
-
-def exponential(matrix: Array) -> Array:
-    """Return the matrix exponential by its series, after halving the argument to a norm of at most one half."""
-    halvings = max(0, int(np.ceil(np.log2(np.abs(matrix).sum(axis=0).max() + 1e-300))) + 1)
-    scaled, identity = matrix / 2.0**halvings, np.eye(len(matrix))
-    result = identity
-    for k in range(14, 0, -1):
-        result = identity + scaled @ result / k
-    for _ in range(halvings):
-        result = result @ result
-    return result
-
-
-def _logarithm(matrix: Array) -> Array:
-    """Return the logarithm of a matrix whose eigenvalues are within one half of 1, by its series."""
-    identity = np.eye(len(matrix))
-    difference, result = matrix - identity, np.zeros_like(matrix)
-    for k in range(60, 0, -1):
-        result = difference @ (identity / k - result)
-    return result
-
-
-def _white_acceleration(density: float, duration: float) -> Array:
+def white_acceleration(density: float, duration: float) -> Array:
     """Return the covariance, shape (6, 6), that a white acceleration of this density [m²/s³] adds in `duration` [s]."""
-    moments = np.array([[duration**3 / 3.0, duration**2 / 2.0], [duration**2 / 2.0, duration]])
-    return np.kron(density * moments, np.eye(3)).astype(np.float64)
-
-
-class _StoredModel(Model):
-    """The form of a stored model."""
-
-    A: Annotated[tuple[_State, ...], Field(min_length=6, max_length=6)]
-    B: _State
-    time_step: Positive
-    acceleration_density: Positive
-    measurement_std: tuple[Positive, Positive, Positive]
-    residual_rms: tuple[NonNegative, NonNegative, NonNegative]
-    structure: Structure
-    errors: tuple[PredictionError, ...]
+    noise, axes = np.zeros((6, 6)), np.arange(3)
+    noise[axes, axes] = density * (duration**3 / 3.0)
+    noise[axes, axes + 3] = noise[axes + 3, axes] = density * (duration**2 / 2.0)
+    noise[axes + 3, axes + 3] = density * duration
+    return noise

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallFilter, BallModel
 from imolo.config.model import Model, NonNegative, Positive
 from imolo_msgs import ball_state_t, marker_t, mocap_frame_t
 
@@ -32,7 +31,7 @@ class BallTrackerConfig(Model):
         0.999, description="share of the true measurements that pass the χ² gates"
     )
     gate_margin: NonNegative = Field(
-        0.01, description="slack of the gate, as a standard deviation [m], assumed: misfit of the linear model"
+        0.01, description="slack of the gate, as a standard deviation [m], assumed: misfit of the ball model"
     )
     coast_time: Positive = Field(0.25, description="a track without a measurement for longer is dropped [s], assumed")
     launch_frames: Annotated[int, Field(ge=4)] = Field(
@@ -53,8 +52,8 @@ class BallEstimate:
 
     Attributes:
         utime: Capture time of the frame [µs].
-        state: Position [m] and velocity [m/s] in the world frame, shape (6,).
-        covariance: Covariance of the state, shape (6, 6).
+        state: Position [m], velocity [m/s] in the world frame and what the ball model adds, shape (n,), n >= 6.
+        covariance: Covariance of the state, shape (n, n).
         in_flight: Whether the ball flies; before the release `state` is the marker at rest, its velocity unknown.
     """
 
@@ -67,8 +66,8 @@ class BallEstimate:
         """Return the estimate as a message."""
         message = ball_state_t()
         message.utime = self.utime
-        message.ball_position, message.ball_velocity = self.state[:3].tolist(), self.state[3:].tolist()
-        message.covariance = self.covariance.tolist()
+        message.ball_position, message.ball_velocity = self.state[:3].tolist(), self.state[3:6].tolist()
+        message.covariance = self.covariance[:6, :6].tolist()
         return message
 
 
@@ -121,7 +120,7 @@ class _Samples:
 class _Track:
     """A ball in flight."""
 
-    kalman: KalmanFilter
+    kalman: BallFilter
     utime: int  # of the filter [µs]
     seen_utime: int  # of the last measurement [µs]
     samples: _Samples
@@ -139,7 +138,7 @@ class BallTracker:
         counters: Dropouts, ghosts, late frames and the like since the last reset.
     """
 
-    def __init__(self, model: LinearBallModel, config: BallTrackerConfig | None = None) -> None:
+    def __init__(self, model: BallModel, config: BallTrackerConfig | None = None) -> None:
         self.model = model
         self.config = config = config or BallTrackerConfig()
         self._gate = float(chi2.ppf(config.gate_probability, 3))
@@ -224,7 +223,7 @@ class BallTracker:
         if launch is None:
             return
         state, covariance = launch
-        if _mahalanobis(state - track.kalman.x, covariance) > self._restart_gate:
+        if _mahalanobis((state - track.kalman.x)[:6], covariance[:6, :6]) > self._restart_gate:
             track.kalman = self.model.make_filter(state, covariance)
             self.counters.restarts += 1
 
@@ -261,8 +260,8 @@ class BallTracker:
             return None
         time = (np.array(samples.utimes) - samples.utimes[-1]) * 1e-6
         state, covariance, misfit = self.model.initial_state(time, np.array(samples.positions))
-        speed_noise = float(np.sqrt(np.trace(covariance[3:, 3:])))
-        if misfit > self._launch_gate or np.linalg.norm(state[3:]) < self.config.launch_speed + 3.0 * speed_noise:
+        speed_noise = float(np.sqrt(np.trace(covariance[3:6, 3:6])))
+        if misfit > self._launch_gate or np.linalg.norm(state[3:6]) < self.config.launch_speed + 3.0 * speed_noise:
             return None
         return state, covariance
 

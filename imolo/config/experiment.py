@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args, get_origin
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from imolo.ball.fit import BallModelConfig
+from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTrackerConfig
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import SimulationConfig
@@ -55,6 +55,7 @@ class CampaignConfig(Model):
 class MethodConfig(Model):
     """One way to learn and to plan; the defaults are the paper's."""
 
+    ball_model: BallModelConfig = BallModelConfig()
     forward_model: ForwardModelConfig = ForwardModelConfig()
     grid: TableGrid = TableGrid()
     planner: PlannerConfig = PlannerConfig()
@@ -63,13 +64,14 @@ class MethodConfig(Model):
 METHODS: dict[str, MethodConfig] = {
     "paper": MethodConfig(),
     "improved": MethodConfig(
+        ball_model=BallModelConfig(kind="spin"),
         forward_model=GPR,
         grid=TableGrid(unique="all", match="cell"),
         planner=PlannerConfig(observation_time=0.1),
     ),
 }
-"""The paper's method, and the same with a better regression and a table that answers more queries, measured beside it.
-"""
+"""The paper's method, and the same with drag and lift of the ball, a better regression and a table that answers more
+queries, measured beside it."""
 
 
 class ExperimentConfig(Model):
@@ -84,7 +86,6 @@ class ExperimentConfig(Model):
     motion: MotionTemplate = MotionTemplate()
     training: TrainingConfig = TrainingConfig()
     tracker: BallTrackerConfig = BallTrackerConfig()
-    ball_model: BallModelConfig = BallModelConfig()
     methods: Annotated[dict[str, MethodConfig], Field(min_length=1)] = METHODS
     campaign: CampaignConfig = CampaignConfig()
     simulation: SimulationConfig = SimulationConfig()

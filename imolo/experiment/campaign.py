@@ -11,7 +11,8 @@ from pathlib import Path
 from joblib import Parallel, delayed
 
 from imolo.backend import Trial, TrialKind
-from imolo.ball.model import LinearBallModel
+from imolo.ball.fit import restore_ball_model
+from imolo.ball.model import BallModel
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
 from imolo.experiment.trainer import START_MARGIN, MotionPlayer
@@ -134,6 +135,6 @@ def run_task(task: TrialTask) -> TrialTiming:
 
 
 @lru_cache(maxsize=8)
-def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, LinearBallModel]:
+def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, BallModel]:
     table = LookupTable.load(path, robot)
-    return table, LinearBallModel.from_dict(table.origin["ball_model"])
+    return table, restore_ball_model(table.origin["ball_model"])

@@ -209,12 +209,12 @@ def _build_tables(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: 
     name = config.backend.name
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):
-        ball_model = learn_ball(config, [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW])
+        throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]
         data = learn_motions(config, [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING])
         for method_name, method in config.methods.items():
             path = folder.table(name, method_name)
             path.parent.mkdir(parents=True, exist_ok=True)
-            build_table(config, method, data, ball_model).save(path)
+            build_table(config, method, data, learn_ball(method, throws)).save(path)
     return name
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from imolo.ball.fit import fit_ball_model
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallModel
 from imolo.config.experiment import ExperimentConfig, MethodConfig
 from imolo.experiment.recordings import ball_flight, hand_samples, merge
 from imolo.log import read_log
@@ -14,13 +14,13 @@ from imolo.method.forward_model import ForwardModel, TrainingData
 from imolo.method.table import LookupTable
 
 
-def learn_ball(config: ExperimentConfig, logs: Sequence[Path]) -> LinearBallModel:
-    """Fit the linear ball model to the throws (Sec. V-C).
+def learn_ball(method: MethodConfig, logs: Sequence[Path]) -> BallModel:
+    """Fit the ball model of a method to the throws (Sec. V-C).
 
     Raises:
         TrainingDataError: There are too few throws, or one shows no flight.
     """
-    return fit_ball_model([ball_flight(read_log(path)) for path in logs], config.ball_model)
+    return fit_ball_model([ball_flight(read_log(path)) for path in logs], method.ball_model)
 
 
 def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingData:
@@ -33,7 +33,7 @@ def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingDat
 
 
 def build_table(
-    config: ExperimentConfig, method: MethodConfig, data: TrainingData, ball_model: LinearBallModel
+    config: ExperimentConfig, method: MethodConfig, data: TrainingData, ball_model: BallModel
 ) -> LookupTable:
     """Fit the forward model of a method and build its table; the ball model is stored as part of its origin.
 

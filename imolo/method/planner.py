@@ -11,7 +11,7 @@ from pydantic import Field
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallModel
 from imolo.ball.tracker import BallTracker, BallTrackerConfig
 from imolo.bus import Bus
 from imolo.config.model import Model, NonNegative, Positive
@@ -75,7 +75,7 @@ class Planner:
     def __init__(
         self,
         table: LookupTable,
-        ball_model: LinearBallModel,
+        ball_model: BallModel,
         config: PlannerConfig,
         tracker: BallTrackerConfig,
         on_decision: Callable[[float], object] | None = None,

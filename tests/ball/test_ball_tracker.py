@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from imolo.ball.fit import BallModelConfig, fit_ball_model
+from imolo.ball.fit import fit_ball_model
+from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTracker, BallTrackerConfig
 from imolo_msgs import ball_state_t
 

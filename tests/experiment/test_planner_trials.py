@@ -12,7 +12,7 @@ from trials import config, event, mocap, play
 
 from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
-from imolo.ball.model import LinearBallModel
+from imolo.ball.model import BallModel
 from imolo.bus import Bus
 from imolo.errors import TableFileError
 from imolo.experiment.campaign import TrialTask, learning_tasks, run_task, run_tasks
@@ -45,7 +45,7 @@ LEAD = round(PlannerConfig().lead_time * 1e6)  # [µs]
 @dataclass(frozen=True)
 class Learned:
     table: LookupTable
-    ball_model: LinearBallModel
+    ball_model: BallModel
 
     def planner(self, robot: str | None = None, **values: bool) -> Planner:
         table = self.table
@@ -59,7 +59,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
     tasks = learning_tasks(FEW_THROWS, tmp_path_factory.mktemp("learning"))
     run_tasks(tasks, jobs=1)
     by_kind = {kind: [task.log_path for task in tasks if task.trial.kind is kind] for kind in TrialKind}
-    ball_model = learn_ball(CONFIG, by_kind[TrialKind.THROW])
+    ball_model = learn_ball(CONFIG.methods["paper"], by_kind[TrialKind.THROW])
     data = learn_motions(CONFIG, by_kind[TrialKind.TRAINING])
     method = CONFIG.methods["paper"].model_copy(update={"grid": GRID, "forward_model": QUICK})
     return Learned(build_table(CONFIG, method, data, ball_model), ball_model)
@@ -170,8 +170,8 @@ def test_one_planner_with_one_table_file_makes_every_backend_speak_alike(learned
         logs.append(read_log(path))
     spoken = [{name: type(messages[0]) for name, messages in log.messages.items() if messages} for log in logs]
     assert spoken == [{name: channel.message_type for name, channel in channels.CHANNELS.items()}] * len(AVAILABLE)
-    # When events happen and motions start is the engine's and the planner's to say.
-    clocked = set(channels.CHANNELS) - {channels.TRIAL, channels.VALVE_COMMAND}
+    # When things happen, motions start and the ball is struck is for engine and planner to say.
+    clocked = set(channels.CHANNELS) - {channels.TRIAL, channels.VALVE_COMMAND, channels.BALL_STATE}
     end = min(log.messages[channels.TRIAL][-1].utime for log in logs) - SLICE
     for name in clocked:
         clocks = [[message.utime for message in log.messages[name] if message.utime < end] for log in logs]

@@ -1,0 +1,202 @@
+"""The flying ball under gravity, quadratic drag and Magnus lift, followed by an extended Kalman filter.
+
+    ṗ = v,   v̇ = g - k |v| v + ω × v,   k̇ = 0,   ω̇ = 0
+
+k = ρ c_D A / (2 m) [1/m] is the drag of the ball; ω [1/s] is its spin times a lift coefficient over its mass, so that
+ω × v is the Magnus acceleration (Zhang, Xiong, Zhao and Chen, 2010, for table tennis). Both are unknown in each flight
+and part of the state. What the training flights were like is the prior: of k and ω always, and of the velocity of
+release if the first samples agree with it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+from scipy.stats import chi2
+
+from imolo.ball.aerodynamic_kernel import fly, normal_equations, transition
+from imolo.ball.model import PredictionError
+from imolo.config.model import Model, Positive
+from imolo.errors import TableFileError
+
+Array = NDArray[np.float64]
+AerodynamicKind = Literal["drag", "spin"]
+
+STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
+UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
+ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
+_ON = np.ones(1)
+_LAUNCH_GATE = float(chi2.ppf(0.999, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class AerodynamicBallModel:
+    """The equation of motion above, with noise and priors.
+
+    Attributes:
+        kind: "drag" has the state (p, v, k), "spin" (p, v, k, ω).
+        time_step: Step of `predict` [s].
+        acceleration_density: Process noise, spectral density of a white acceleration [m²/s³].
+        measurement_std: Standard deviation of a measured coordinate [m], shape (3,).
+        prior_mean: Of velocity of release [m/s], k [1/m] and ω [1/s], shape (n - 3,).
+        prior_std: Their standard deviations for the next flight, shape (n - 3,).
+        errors: Leave-one-out prediction errors; empty for a model that was not fitted.
+    """
+
+    kind: AerodynamicKind
+    time_step: float
+    acceleration_density: float
+    measurement_std: Array
+    prior_mean: Array
+    prior_std: Array
+    errors: tuple[PredictionError, ...] = ()
+
+    def with_density(self, density: float) -> "AerodynamicBallModel":
+        """Return the same model with another process noise [m²/s³]."""
+        return replace(self, acceleration_density=density)
+
+    def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
+        """Estimate the state at the last of a few samples: maximum a posteriori, by Gauss-Newton.
+
+        Args:
+            time: Time of the samples [s], shape (N,), N >= 2.
+            position: Measured positions [m], shape (N, 3).
+
+        Returns:
+            State, shape (n,); its covariance, shape (n, n); sum of the squared normalised residuals, which is
+            χ² distributed with 3N - 6 degrees of freedom if the samples are of a free flight.
+        """
+        spread = self.prior_std.copy()
+        spread[:3] = UNKNOWN_VELOCITY
+        mean = self.prior_mean.copy()
+        mean[:3] = 0.0
+        state, covariance, residuals = most_likely_start(time, position, self.measurement_std, mean, spread)
+        misfit = float(np.sum((residuals / self.measurement_std) ** 2))
+        state, covariance = self._with_launch_prior(state, covariance)
+        last, F, Q = transition(state, float(time[-1] - time[0]), self.acceleration_density)
+        return last, F @ covariance @ F.T + Q, misfit
+
+    def _with_launch_prior(self, state: Array, covariance: Array) -> tuple[Array, Array]:
+        """Fuse a start with the velocity of release, unless the two contradict each other."""
+        difference = self.prior_mean[:3] - state[3:6]
+        spread = covariance[3:6, 3:6] + np.diag(self.prior_std[:3] ** 2)
+        if difference @ np.linalg.solve(spread, difference) > _LAUNCH_GATE:
+            return state, covariance
+        gain = np.linalg.solve(spread, covariance[3:6]).T
+        return state + gain @ difference, covariance - gain @ covariance[3:6]
+
+    def make_filter(self, state: Array, covariance: Array) -> KalmanFilter:
+        """Return a Kalman filter that starts from a state, shape (n,), and its covariance.
+
+        Positions are measured linearly, so that an extended filter differs from it in `advance` alone.
+        """
+        size = STATE_SIZE[self.kind]
+        kalman = KalmanFilter(dim_x=size, dim_z=3, dim_u=1)
+        kalman.x, kalman.P = state.copy(), covariance.copy()
+        kalman.H = np.eye(3, size)
+        kalman.R = np.diag(self.measurement_std**2)
+        return kalman
+
+    def advance(self, kalman: KalmanFilter, duration: float) -> None:
+        """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
+        state, F, Q = transition(kalman.x, duration, self.acceleration_density)
+        kalman.predict(u=_ON, B=(state - F @ kalman.x)[:, None], F=F, Q=Q)
+
+    def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
+        """Return state, shape (n,), and covariance, shape (n, n), `duration` [s] later."""
+        later, F, Q = transition(state, duration, self.acceleration_density)
+        return later, F @ covariance @ F.T + Q
+
+    def predict(self, state: Array, steps: int) -> Array:
+        """Return the states 1, 2, ... `steps` time steps later, shape (steps, n)."""
+        path: Array = fly(state, self.time_step, steps)
+        return path
+
+    def predict_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
+        """Return the covariances that belong to `predict`, shape (steps, n, n)."""
+        predicted = np.empty((steps, *covariance.shape))
+        for i in range(steps):
+            state, covariance = self.propagate(state, covariance, self.time_step)
+            predicted[i] = covariance
+        return predicted
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain numbers and lists, fit for JSON; `from_dict` restores it bit by bit."""
+        values = {name: getattr(self, name) for name in _StoredModel.model_fields}
+        plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+        return _StoredModel.model_validate(plain).model_dump(mode="json")
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> "AerodynamicBallModel":
+        """Restore a model from `to_dict`.
+
+        Raises:
+            TableFileError: A key is missing or unknown, or a value has the wrong shape or is not finite.
+        """
+        damaged = "the stored ball model is damaged; fit and save it again: "
+        try:
+            values = _StoredModel.model_validate(stored)
+        except ValidationError as error:
+            raise TableFileError(f"{damaged}{error}") from error
+        size = STATE_SIZE[values.kind] - 3
+        if not len(values.prior_mean) == len(values.prior_std) == size:
+            raise TableFileError(f"{damaged}a prior of kind {values.kind!r} has {size} components")
+        arrays = {name: np.array(getattr(values, name)) for name in ("measurement_std", "prior_mean", "prior_std")}
+        return cls(
+            kind=values.kind,
+            time_step=values.time_step,
+            acceleration_density=values.acceleration_density,
+            errors=values.errors,
+            **arrays,
+        )
+
+
+def most_likely_start(
+    time: Array,
+    position: Array,
+    measurement_std: Array,
+    prior_mean: Array,
+    prior_std: Array,
+    iterations: int = ITERATIONS,
+) -> tuple[Array, Array, Array]:
+    """Estimate the state at the first sample of a flight, maximum a posteriori, by Gauss-Newton.
+
+    Args:
+        time: [s], shape (N,), N >= 2.
+        position: Measured [m], shape (N, 3).
+        measurement_std: Of a coordinate [m], shape (3,).
+        prior_mean: Of velocity, k and perhaps ω, shape (n - 3,).
+        prior_std: Their standard deviations, shape (n - 3,); the position has no prior.
+        iterations: Of Gauss-Newton.
+
+    Returns:
+        State, shape (n,); its covariance, shape (n, n); residuals [m], shape (N, 3).
+    """
+    elapsed = time - time[0]
+    fall = np.outer(0.5 * elapsed**2, (0.0, 0.0, 9.81))
+    line = np.linalg.lstsq(np.stack([np.ones_like(elapsed), elapsed], axis=1), position + fall, rcond=None)[0]
+    state = np.concatenate([line[0], line[1], prior_mean[3:]])
+    weight = np.concatenate([np.zeros(3), prior_std**-2.0])
+    mean, precision = np.concatenate([np.zeros(3), prior_mean]), measurement_std**-2.0
+    for _ in range(iterations):
+        by_axis, gradient, _ = normal_equations(state, time, position)
+        information = np.tensordot(precision, by_axis, 1) + np.diag(weight)
+        state = state + np.linalg.solve(information, precision @ gradient + weight * (mean - state))
+    by_axis, _, residuals = normal_equations(state, time, position)
+    return state, np.linalg.inv(np.tensordot(precision, by_axis, 1) + np.diag(weight)), residuals
+
+
+class _StoredModel(Model):
+    """The form of a stored model."""
+
+    kind: AerodynamicKind
+    time_step: Positive
+    acceleration_density: Positive
+    measurement_std: tuple[Positive, Positive, Positive]
+    prior_mean: Annotated[tuple[float, ...], Field(min_length=4)]
+    prior_std: Annotated[tuple[Positive, ...], Field(min_length=4)]
+    errors: tuple[PredictionError, ...]

@@ -1,0 +1,128 @@
+"""Learn what flights are like - noise, drag, lift and release - from recorded ones (empirical Bayes)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imolo.ball.aerodynamic import (
+    STATE_SIZE,
+    UNKNOWN_VELOCITY,
+    AerodynamicBallModel,
+    AerodynamicKind,
+    most_likely_start,
+)
+from imolo.ball.aerodynamic_kernel import normal_equations
+from imolo.ball.flight import Flight
+from imolo.ball.linear_fit import LEAST_NOISE
+from imolo.ball.model import BallModelConfig
+
+Array = NDArray[np.float64]
+
+# Before anything is known of the ball: an air-filled beach ball has k = 1 /m; a table-tennis ball at 150 turns per
+# second, about the most a player gives it, has ω = 3 /s.
+VAGUE_DRAG, VAGUE_LIFT = 1.0, 3.0  # standard deviations [1/m], [1/s]
+LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 0.01, 0.01, 0.01])  # [m/s], [1/m], [1/s] assumed: no two flights agree
+ITERATIONS = 4  # of Gauss-Newton on a whole flight; one more changes nothing that a camera could see
+EM_STEPS = 100  # the means settle within ten
+TYPICAL_NOISE = 1e-3  # [m] weighs measurements against the vague prior, which hardly counts
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """One flight about its own best fit.
+
+    Attributes:
+        state: At its first sample, shape (n,).
+        information: About that state from each axis at unit noise, shape (3, n, n).
+        gradient: Of the same, shape (3, n).
+        residuals: Of the positions [m], shape (N, 3).
+    """
+
+    state: Array
+    information: Array
+    gradient: Array
+    residuals: Array
+
+    def evidence(self, std: Array) -> tuple[Array, Array]:
+        """Return what the flight says of velocity of release, k and ω, the position marginalised.
+
+        Args:
+            std: Standard deviation of a measured coordinate [m], shape (3,).
+
+        Returns:
+            Information, shape (n - 3, n - 3), which may be singular; information times estimate, shape (n - 3,).
+        """
+        information = np.tensordot(std**-2.0, self.information, 1)
+        projection = std**-2.0 @ self.gradient + information @ self.state
+        elimination = np.linalg.solve(information[:3, :3], information[:3, 3:]).T
+        return (
+            information[3:, 3:] - elimination @ information[:3, 3:],
+            projection[3:] - elimination @ projection[:3],
+        )
+
+
+class AerodynamicFit:
+    """Fits the model to sets of flights; each flight is linearised once, whatever sets it is in."""
+
+    def __init__(self, kind: AerodynamicKind, flights: Sequence[Flight], config: BallModelConfig) -> None:
+        size = STATE_SIZE[kind] - 3
+        self._kind = kind
+        self._config = config
+        self._vague_std = np.array([UNKNOWN_VELOCITY] * 3 + [VAGUE_DRAG] + [VAGUE_LIFT] * 3)[:size]
+        self._least = LEAST_SPREAD[:size]
+        self._known = {id(flight): (flight, self._linearise(flight)) for flight in flights}
+
+    def __call__(self, flights: Sequence[Flight]) -> AerodynamicBallModel:
+        """Fit noise and priors to some of the flights; the process noise is left at the first candidate.
+
+        The measurement noise is the deviation of whole flights from the equation of motion, whatever its cause: what a
+        tracker's calibration bends does not average out like noise, so it must not be mistaken for less.
+        """
+        linearised = [self._known[id(flight)][1] for flight in flights]
+        squares = sum(np.sum(one.residuals**2, axis=0) for one in linearised)
+        # Each axis has given two numbers of every flight to its start.
+        freedom = sum(len(one.residuals) - 2.0 for one in linearised)
+        std = np.maximum(np.sqrt(squares / freedom), LEAST_NOISE)
+        mean, variance = self._population([one.evidence(std) for one in linearised])
+        return AerodynamicBallModel(
+            kind=self._kind,
+            time_step=self._config.time_step,
+            acceleration_density=self._config.acceleration_density or self._config.density_grid[0],
+            measurement_std=std,
+            prior_mean=mean,
+            prior_std=np.maximum(np.sqrt(variance * _unseen(len(flights))), self._least),
+        )
+
+    def _linearise(self, flight: Flight) -> _Linearised:
+        mean, std = np.zeros_like(self._vague_std), np.full(3, TYPICAL_NOISE)
+        state, _, _ = most_likely_start(flight.time, flight.position, std, mean, self._vague_std, ITERATIONS)
+        return _Linearised(state, *normal_equations(state, flight.time, flight.position))
+
+    def _population(self, evidence: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+        """Return mean and variance over flights, shape (n - 3,) each, by expectation maximisation.
+
+        A flight that says little of a component, as of the spin along its path, does not count for it.
+        """
+        information = np.array([one[0] for one in evidence])
+        projection = np.array([one[1] for one in evidence])
+        count = len(evidence)
+        mean, variance = np.linalg.solve(information.sum(axis=0), projection.sum(axis=0)), self._vague_std**2
+        for _ in range(EM_STEPS):
+            prior = np.diag(1.0 / variance)
+            covariance = np.linalg.inv(information + prior)
+            each = np.einsum("nij,nj->ni", covariance, projection + prior @ mean)
+            mean = each.mean(axis=0)
+            spread = np.sum((each - mean) ** 2, axis=0) / (count - 1) if count > 1 else np.zeros_like(mean)
+            variance = np.maximum(spread + np.einsum("nii->i", covariance) / count, (0.1 * self._least) ** 2)
+        return mean, variance
+
+
+def _unseen(count: int) -> float:
+    """Return how much wider the next flight scatters than `count` known ones: the variance of Student's t.
+
+    With three flights and fewer it has none; the factor then says that next to nothing is known.
+    """
+    freedom = count - 1
+    return (1.0 + 1.0 / count) * freedom / max(freedom - 2.0, 0.25)

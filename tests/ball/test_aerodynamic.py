@@ -1,0 +1,250 @@
+"""Drag and lift of the ball against SciPy's integrator, finite differences and flights of a known population."""
+
+import json
+
+import numpy as np
+import pytest
+from ball_flights import GRAVITY, RATE, fly, make_frame
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from imolo.ball.aerodynamic import AerodynamicBallModel
+from imolo.ball.aerodynamic_kernel import transition
+from imolo.ball.fit import fit_ball_model, restore_ball_model
+from imolo.ball.flight import Flight
+from imolo.ball.linear import LinearBallModel
+from imolo.ball.model import BallModelConfig
+from imolo.ball.prediction import filter_flight, prediction_errors
+from imolo.ball.tracker import BallTracker
+from imolo.errors import TableFileError
+
+NOISE = 0.002  # [m]
+DENSITY = 1e-11  # [m²/s³] next to none: the balls of these tests obey the equation of motion
+MEAN = np.array([-5.5, 0.1, 4.0, 0.13, 0.3, -0.5, 0.2])
+SPREAD = np.array([0.3, 0.2, 0.3, 0.015, 0.15, 0.15, 0.15])
+
+
+def magnus(k, omega):
+    return lambda v: GRAVITY - k * np.linalg.norm(v) * v + np.cross(omega, v)
+
+
+def throws(rng, count, duration=0.9, spin=True):
+    """Flights of balls drawn from the population; their start states, shape (count, 10)."""
+    time, flights, starts = np.arange(0.0, duration, 1.0 / RATE), [], []
+    for _ in range(count):
+        latent = MEAN + SPREAD * rng.standard_normal(7)
+        latent[4:] *= spin
+        start = np.concatenate([[5.0, 0.0, 1.1], latent])
+        path = fly(start[:6], time, magnus(start[6], start[7:]))[:, :3]
+        flights.append(Flight(time, path + NOISE * rng.standard_normal(path.shape)))
+        starts.append(start)
+    return flights, np.array(starts)
+
+
+def known(kind="spin", density=DENSITY):
+    size = {"drag": 4, "spin": 7}[kind]
+    return AerodynamicBallModel(
+        kind=kind,
+        time_step=0.0083,
+        acceleration_density=density,
+        measurement_std=np.full(3, NOISE),
+        prior_mean=MEAN[:size],
+        prior_std=SPREAD[:size],
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    flights, starts = throws(np.random.default_rng(0), 12)
+    config = BallModelConfig(kind="spin", density_grid=(1e-6, 1e-3, 1e-1))
+    return fit_ball_model(flights, config), starts
+
+
+@pytest.mark.parametrize("speed", [5.0, 25.0])
+@pytest.mark.parametrize(("k", "omega"), [(0.0, (0, 0, 0)), (0.172, (0, 0, 0)), (0.09, (1.0, -2.0, 0.5))])
+def test_predicted_path_is_that_of_an_independent_integrator(speed, k, omega):
+    # RK4 of 120 steps: the local error is of the order of h^5 v'''' / 120, below 1e-7 m for k v = 4 /s at h = 8.3 ms.
+    model = known()
+    state = np.array([0.0, 0.0, 1.0, 0.8 * speed, 0.1 * speed, 0.6 * speed, k, *omega])
+    time = model.time_step * np.arange(121)
+    truth = fly(state[:6], time, magnus(k, np.array(omega)))
+    np.testing.assert_allclose(model.predict(state, 120)[:, :6], truth[1:], rtol=0, atol=1e-6)
+
+
+def test_vertical_fall_follows_the_closed_form():
+    # v = v_t tanh(g t / v_t), z = -v_t² / g ln cosh(g t / v_t), with v_t² = g / k.
+    k, t = 0.172, 0.0083 * np.arange(1, 97)
+    terminal = np.sqrt(9.81 / k)
+    path = known("drag").predict(np.array([0, 0, 0, 0, 0, 0, k]), 96)
+    np.testing.assert_allclose(path[:, 2], -(terminal**2) / 9.81 * np.log(np.cosh(9.81 * t / terminal)), atol=1e-8)
+    np.testing.assert_allclose(path[:, 5], -terminal * np.tanh(9.81 * t / terminal), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["drag", "spin"])
+@pytest.mark.parametrize("duration", [0.0083, 0.4, -0.05])
+def test_sensitivity_is_the_finite_difference(kind, duration):
+    state = np.concatenate([[5.0, 0.0, 1.1], MEAN])[: {"drag": 7, "spin": 10}[kind]]
+    _, F, _ = transition(state, duration, 0.0)
+    for i in range(len(state)):
+        step = np.zeros(len(state))
+        step[i] = 1e-5
+        difference = transition(state + step, duration, 0.0)[0] - transition(state - step, duration, 0.0)[0]
+        # Central differences leave 1e-16 / 1e-5 of rounding and 1e-10 of curvature.
+        np.testing.assert_allclose(F[:, i], difference / 2e-5, rtol=0, atol=1e-8)
+
+
+@settings(deadline=None, max_examples=30)
+@given(first=st.floats(0.001, 0.4), second=st.floats(0.001, 0.4))
+def test_propagation_composes(first, second):
+    model = known(density=1e-2)
+    state, covariance = np.concatenate([[5.0, 0.0, 1.1], MEAN]), np.diag(np.concatenate([np.full(3, 1e-5), SPREAD**2]))
+    once = model.propagate(state, covariance, first + second)
+    twice = model.propagate(*model.propagate(state, covariance, first), second)
+    # The paths differ by RK4's error; the noise of a step takes its velocity for constant over at most 10 ms.
+    np.testing.assert_allclose(once[0], twice[0], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(once[1], twice[1], rtol=0, atol=1e-5)
+
+
+def test_covariance_prediction_is_the_propagated_one():
+    model = known()
+    state, covariance = np.concatenate([[5.0, 0.0, 1.1], MEAN]), np.diag(np.concatenate([np.full(3, 1e-5), SPREAD**2]))
+    rows = model.predict_covariance(state, covariance, 60)
+    np.testing.assert_allclose(rows[-1], model.propagate(state, covariance, 60 * 0.0083)[1], rtol=1e-5, atol=1e-9)
+
+
+def test_population_of_drag_and_spin_is_recovered(fitted):
+    # The mean of 12 flights scatters by SPREAD / sqrt(12), and 4 sd of that are met by all seven components.
+    model, starts = fitted
+    sample_mean, sample_std = starts[:, 3:].mean(axis=0), starts[:, 3:].std(axis=0, ddof=1)
+    assert np.all(np.abs(model.prior_mean - MEAN) < 4.0 * SPREAD / np.sqrt(12.0))
+    # Against the very balls that flew there is only the noise of the fits left.
+    assert np.all(np.abs(model.prior_mean - sample_mean)[:4] < [0.02, 0.02, 0.02, 0.004])
+    student = np.sqrt((1.0 + 1.0 / 12.0) * 11.0 / 9.0)
+    np.testing.assert_allclose(model.prior_std[:4], student * sample_std[:4], rtol=0.2)
+
+
+def test_noise_of_a_right_model_is_that_of_the_cameras(fitted):
+    # 12 flights of 108 samples: the root of their mean square has a relative standard deviation of 2 %.
+    np.testing.assert_allclose(fitted[0].measurement_std, NOISE, rtol=0.08)
+
+
+def test_right_model_chooses_the_least_process_noise(fitted):
+    assert fitted[0].acceleration_density == 1e-6
+
+
+def test_spin_of_a_ball_is_found_in_its_flight():
+    # ω across the path is seen through ½ ω v t²: 5 mm of prior and noise at 0.9 s leave about 0.01 /s.
+    rng, model = np.random.default_rng(1), known()
+    flights, starts = throws(rng, 8)
+    for flight, start in zip(flights, starts, strict=True):
+        states, covariances = filter_flight(model, flight)
+        velocity = start[3:6] / np.linalg.norm(start[3:6])
+        across = np.eye(3) - np.outer(velocity, velocity)
+        error, deviation = states[-1][6:] - start[6:], np.sqrt(np.diag(covariances[-1])[6:])
+        assert np.all(np.abs(error) < 4.5 * deviation)
+        assert np.linalg.norm(across @ error[1:]) < 0.5 * np.linalg.norm(across @ (start[7:] - MEAN[4:])) + 0.1
+        assert deviation[0] < 0.5 * SPREAD[3]
+
+
+@pytest.mark.parametrize("kind", ["drag", "spin"])
+def test_filter_is_consistent_where_the_model_is_right(kind):
+    # NEES of independent flights is χ²; the sum lies outside of the bounds once in 10,000.
+    rng, count = np.random.default_rng(2), 60
+    model = known(kind)
+    flights, starts = throws(rng, count, spin=kind == "spin")
+    final, ahead = 0.0, 0.0
+    for flight, start in zip(flights, starts, strict=True):
+        states, covariances = filter_flight(model, flight)
+        truth = transition(start[: 3 + len(model.prior_mean)], flight.time[-1], 0.0)[0]
+        error = states[-1] - truth
+        final += error @ np.linalg.solve(covariances[-1], error)
+        miss, spread = prediction_errors(model, flight, 0.5, 0.1)
+        ahead += miss[-1] @ np.linalg.solve(spread[-1], miss[-1])
+    size = 3 + len(model.prior_mean)
+    assert chi2.ppf(0.5e-4, size * count) < final < chi2.ppf(1.0 - 0.5e-4, size * count)
+    assert chi2.ppf(0.5e-4, 3 * count) < ahead < chi2.ppf(1.0 - 0.5e-4, 3 * count)
+
+
+def test_launch_prior_is_dropped_where_the_ball_contradicts_it():
+    # A ball that flies the other way, as after a hit: the estimate is that of the samples alone.
+    model = known()
+    start = np.array([1.0, 0.0, 1.0, 4.0, 0.0, 3.0, 0.13, 0.3, -0.5, 0.2])
+    time = np.arange(12) / RATE
+    path = fly(start[:6], time, magnus(start[6], start[7:]))
+    state, covariance, misfit = model.initial_state(time, path[:, :3])
+    np.testing.assert_allclose(state[3:6], path[-1, 3:], atol=0.02)
+    assert np.sqrt(covariance[3, 3]) > 0.02
+    assert misfit < 1.0
+
+
+def test_launch_prior_sharpens_the_first_estimate():
+    rng, model = np.random.default_rng(3), known()
+    flights, starts = throws(rng, 40)
+    with_prior, without = [], []
+    for flight, start in zip(flights, starts, strict=True):
+        truth = transition(start, flight.time[5], 0.0)[0]
+        state, _, _ = model.initial_state(flight.time[:6], flight.position[:6])
+        line = LinearBallModel(
+            np.eye(6) + np.eye(6, k=3) * 0.0083,
+            np.array([0, 0, -3.4e-4, 0, 0, -0.0814]),
+            0.0083,
+            DENSITY,
+            np.full(3, NOISE),
+        ).initial_state(flight.time[:6], flight.position[:6])[0]
+        with_prior.append(np.linalg.norm((state - truth)[3:6]))
+        without.append(np.linalg.norm(line[3:] - truth[3:6]))
+    # Six samples alone leave 0.1 m/s per axis, a third of the spread of the launcher.
+    assert np.mean(with_prior) < 0.9 * np.mean(without)
+
+
+def test_offline_filter_is_the_filter_of_the_tracker():
+    flight, model = throws(np.random.default_rng(4), 1)[0][0], known()
+    states, covariances = filter_flight(model, flight)
+    kalman = model.make_filter(states[3], covariances[3])
+    for i in range(4, len(flight.time)):
+        model.advance(kalman, flight.time[i] - flight.time[i - 1])
+        kalman.update(flight.position[i])
+    np.testing.assert_allclose(kalman.x, states[-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(kalman.P, covariances[-1], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["drag", "spin"])
+def test_stored_model_is_restored_bit_by_bit(kind):
+    model = known(kind)
+    restored = restore_ball_model(json.loads(json.dumps(model.to_dict())))
+    state = np.concatenate([[5.0, 0.0, 1.1], model.prior_mean])
+    assert restored.to_dict() == model.to_dict()
+    np.testing.assert_array_equal(restored.predict(state, 96), model.predict(state, 96))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"kind": "knuckle"}, "of kind 'knuckle', known are linear, drag, spin"),
+        ({"prior_mean": [0.0] * 5}, "has 7 components"),
+        ({"prior_std": [0.0] * 7}, "fit and save it again"),
+        ({"measurement_std": [float("nan")] * 3}, "fit and save it again"),
+    ],
+)
+def test_damaged_model_is_refused(damage, message):
+    with pytest.raises(TableFileError, match=message):
+        restore_ball_model({**known().to_dict(), **damage})
+
+
+@pytest.mark.parametrize("kind", ["drag", "spin"])
+def test_tracker_follows_a_spinning_ball_through_ghosts_and_dropouts(kind):
+    for seed in range(5):
+        rng = np.random.default_rng(10 + seed)
+        flight, start = (found[0] for found in throws(rng, 1, spin=kind == "spin"))
+        tracker = BallTracker(known(kind))
+        for i, (time, seen) in enumerate(zip(flight.time, flight.position, strict=True)):
+            ghosts = rng.uniform([0.0, -2.0, 0.0], [6.0, 2.0, 3.0], (rng.integers(0, 3), 3))
+            blind = 40 <= i < 55
+            markers = ghosts if blind else rng.permutation(np.vstack([ghosts, seen]))
+            estimate = tracker.update(make_frame(1_000_000 + round(1e6 * time), markers))
+            if i >= 12:
+                assert estimate.in_flight
+                truth = transition(start, time, 0.0)[0]
+                assert np.linalg.norm(estimate.state[:3] - truth[:3]) < 0.02
+        assert estimate.to_message().covariance == estimate.covariance[:6, :6].tolist()
