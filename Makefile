@@ -2,7 +2,7 @@
 PYTHON ?= python3
 # Versions that were tested together; `make CONSTRAINTS= test` tries the newest ones.
 CONSTRAINTS ?= constraints.txt
-EXTRAS ?= mujoco,pybullet,dart,dev
+EXTRAS ?= mujoco,pybullet,dart,export,view,dev
 BIN := .venv/bin
 READY := .venv/.ready
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -74,6 +75,23 @@ class Backend(Protocol):
 
 
 @dataclass(frozen=True)
+class RobotDescription:
+    """What a viewer needs to draw the robot of a backend.
+
+    Attributes:
+        name: As in the messages on TRIAL.
+        urdf: Its model; the base link moves freely.
+        joint_names: Joints of the model in the order of TRUTH_ROBOT.
+        boxes: Fixed boxes around it: position and side lengths [m], each of shape (3,).
+    """
+
+    name: str
+    urdf: Path
+    joint_names: tuple[str, ...]
+    boxes: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
+
+
+@dataclass(frozen=True)
 class BackendPlugin:
     """What an entry point of the group `imolo.backends` names.
 
@@ -83,6 +101,7 @@ class BackendPlugin:
         create: Makes a backend for one trial from the whole config and the validated options.
         checks: Makes the conformance checks of the backend under these options, for `imolo check`.
         limitations: What it cannot do under its default options.
+        robot: What its robot looks like; None where that is not known.
     """
 
     summary: str
@@ -90,3 +109,4 @@ class BackendPlugin:
     create: Callable[["ExperimentConfig", Model], Backend]
     checks: Callable[[Model], Sequence[Check]] = lambda _: ()
     limitations: tuple[Limitation, ...] = ()
+    robot: RobotDescription | None = None

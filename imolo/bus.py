@@ -58,13 +58,17 @@ class Bus:
         self._lcm.subscribe(channel, lambda _, data: handler(decode(data)))
 
     def subscribe_raw(self, handler: Callable[[str, bytes], None]) -> None:
-        """Call `handler` with channel and bytes of every message on the bus, from within `drain`."""
-        self._lcm.subscribe(".*", handler)
+        """Call `handler` with channel and bytes of every message on the bus, from within `drain`; none is dropped."""
+        self._lcm.subscribe(".*", handler).set_queue_capacity(0)
 
     def drain(self) -> None:
         """Handle every waiting message, those included that handlers publish meanwhile."""
         while self._lcm.handle_timeout(0) > 0:
             pass
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for a message for at most this long [s], and handle it; return whether one came."""
+        return bool(self._lcm.handle_timeout(max(1, round(1e3 * seconds))) > 0)
 
 
 def _message_type(channel: str) -> type[Any]:

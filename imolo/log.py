@@ -83,12 +83,10 @@ def read_log(path: Path) -> Log:
     log = Log(path, damage=damage)
     broken: dict[str, LogEvent] = {}
     for event in events:
-        channel = CHANNELS.get(event.channel)
-        if channel is None:
+        if event.channel not in CHANNELS:
             continue
-        try:
-            message = channel.message_type.decode(event.data)
-        except (ValueError, struct.error, MemoryError, OverflowError):
+        message = decode(event.channel, event.data)
+        if message is None:
             broken.setdefault(event.channel, event)
             end = event.offset + HEADER.size + len(event.channel) + len(event.data)
             damage.append(Damage(event.offset, end, event.utime, f"a damaged message on {event.channel}"))
@@ -104,6 +102,14 @@ def read_log(path: Path) -> Log:
     damage.sort(key=lambda part: part.start)
     warn_of_damage(path, damage)
     return log
+
+
+def decode(channel: str, data: bytes) -> Any | None:
+    """Return the message that these bytes of a channel of ours hold, or None if they hold none of its type."""
+    try:
+        return CHANNELS[channel].message_type.decode(data)
+    except (ValueError, struct.error, MemoryError, OverflowError):
+        return None
 
 
 def warn_of_damage(path: Path, damage: Sequence[Damage]) -> None:

@@ -88,8 +88,8 @@ def _event_at(content: bytes, start: int) -> LogEvent | None:
     end = _end(event)
     if end == len(content) or content.startswith(SYNC, end):
         return event
-    # Either the length of this event is wrong or the next header is. An event inside this one, or one with the next number
-    # behind a gap, tells that it is the length.
+    # Either the length of this event is wrong or the next header is. An event inside this one, or one with the next
+    # number behind a gap, tells that it is the length.
     following = _parse(content, _next_event(content, start + 1))
     wrong_length = following is not None and (following.offset < end or following.number == event.number + 1)
     return None if wrong_length else event

@@ -31,6 +31,7 @@ from imolo_backends.liberobot import (
     ROBOT_NAME,
     SOLE_RADIUS,
     ready_scene,
+    robot_description,
 )
 from imolo_backends.mocap import Mocap
 from imolo_backends.plant import Plant
@@ -287,7 +288,7 @@ def simulated_plugin(
     def checks(chosen: Model) -> tuple[Check, ...]:
         return engine_checks(engine, options.model_validate(chosen.model_dump()))
 
-    return BackendPlugin(summary, options, create, checks, tuple(limitations))
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), robot_description())
 
 
 def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:
