@@ -1,5 +1,6 @@
 """The message bus: LCM with our channels, and errors that say what to do."""
 
+import select
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -66,9 +67,10 @@ class Bus:
         while self._lcm.handle_timeout(0) > 0:
             pass
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for a message for at most this long [s], and handle it; return whether one came."""
-        return bool(self._lcm.handle_timeout(max(1, round(1e3 * seconds))) > 0)
+    def wait(self, timeout: float) -> None:
+        """Wait for a message for `timeout` [s] at most, and handle all that is there."""
+        if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
+            self.drain()
 
 
 def _message_type(channel: str) -> type[Any]:

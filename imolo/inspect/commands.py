@@ -170,7 +170,7 @@ def view(
     import_extra("yourdfpy", "view")
     from imolo.inspect.plot import short_names
     from imolo.view import viewer
-    from imolo.view.sessions import RecordedSession
+    from imolo.view.sessions import recorded_sessions
 
     def tell(address: str) -> None:
         console.print(f"open {address} (Ctrl-C ends)", highlight=False, soft_wrap=True)
@@ -181,7 +181,7 @@ def view(
         if not logs:
             viewer.serve_live(url, port, robot, tell)
             return
-        sessions = [RecordedSession(read_log(log), name) for log, name in zip(logs, short_names(logs), strict=True)]
+        sessions = recorded_sessions([read_log(log) for log in logs], short_names(logs))
         if html is None:
             viewer.serve(sessions, port, speed, tell)
         else:

@@ -7,6 +7,7 @@ from pathlib import Path
 from imolo.errors import BusError, MissingToolError
 from imolo.inspect.types_jar import lcm_tool, require_java, types_jar
 
+DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 PLAY_DELAY = 1.0  # [s] until a log starts to play, so that its first messages are seen
 
 
@@ -22,9 +23,13 @@ def open_spy(url: str, log: Path | None = None, speed: float = 1.0) -> None:
     if not environment.get("DISPLAY"):
         raise MissingToolError("lcm-spy needs a display; use `imolo top` in a terminal")
     try:
-        subprocess.run(command, env=environment, check=False)
+        # What it prints is what it could not load from the jars of others.
+        ended = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
     except KeyboardInterrupt:
         return
+    if ended.returncode > 0:
+        reason = next((line for line in ended.stderr.splitlines() if "Exception" in line or "Error" in line), "")
+        raise MissingToolError(f"lcm-spy ended with code {ended.returncode}: {reason}")
 
 
 def spy_command(url: str, log: Path | None, speed: float) -> tuple[list[str], dict[str, str]]:

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import viser
 import yourdfpy
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 from viser.extras import ViserUrdf
 
 from imolo import channels
@@ -24,21 +26,28 @@ BOX_COLOR: Color = (196, 178, 150)
 MARKER_SIZE = 0.025  # [m]
 TARGET_SIZE = 0.03  # [m] three cells of the paper's grid, so that it can be seen
 PATH_WIDTH = 0.008  # [m]
-CAMERA = (1.2, -3.6, 1.5)  # [m]
-LOOK_AT = (0.6, 0.0, 0.9)  # [m]
-NAME_HEIGHT = 0.60  # [m] above the origin of the trunk
-NAME_SPACING = 0.09  # [m]
+GROUND_LIGHT: Color = (150, 145, 140)
+SKY_INTENSITY = 2.5
+CAMERA = (1.9, -3.4, 1.5)  # [m]
+LOOK_AT = (0.85, 0.0, 1.0)  # [m]
+FIELD_OF_VIEW = 0.85  # [rad] vertical
+LEGEND = (-1.0, 0.0, 2.0)  # [m] of the first name
+LEGEND_SPACING = 0.13  # [m]
+TEXT_OFFSET = np.array([0.06, 0.0, 0.0])  # [m]
 
 
 def prepare_scene(server: viser.ViserServer, description: RobotDescription) -> None:
     """Add what never moves: floor, boxes, light and the first view."""
     server.scene.set_up_direction("+z")
+    # The default light is a picture from the network; a view must work without one.
     server.scene.configure_environment_map(None)
+    server.scene.add_light_hemisphere("/sky", ground_color=GROUND_LIGHT, intensity=SKY_INTENSITY)
     server.scene.add_grid("/floor", width=10.0, height=6.0, cell_size=0.25, section_size=1.0, position=(1.0, 0.0, 0.0))
     for number, (position, size) in enumerate(description.boxes):
         server.scene.add_box(f"/box_{number}", BOX_COLOR, size, position=position)
     server.initial_camera.position = CAMERA
     server.initial_camera.look_at = LOOK_AT
+    server.initial_camera.fov = FIELD_OF_VIEW
     server.initial_camera.up = (0.0, 0.0, 1.0)
 
 
@@ -63,7 +72,7 @@ class SessionScene:
         self._shown: dict[str, Any] = {}
         self._trunk = self._scene.add_frame(f"{self._root}/robot", show_axes=False)
         tint = None if alone else tuple(part / 255.0 for part in self._color)
-        model = yourdfpy.URDF.load(str(description.urdf))
+        model = _matt(yourdfpy.URDF.load(str(description.urdf)))
         self._robot = ViserUrdf(
             server,
             model,
@@ -81,8 +90,10 @@ class SessionScene:
             visible=False,
         )
         self._alone = alone
-        self._name = None if alone else self._scene.add_label(f"{self._root}/name", name, anchor="bottom-center")
-        self._name_offset = np.array([0.0, 0.0, NAME_HEIGHT + number * NAME_SPACING])
+        if not alone:
+            place = np.array(LEGEND) - (0.0, 0.0, number * LEGEND_SPACING)
+            self._scene.add_icosphere(f"{self._root}/color", MARKER_SIZE, self._color, position=place)
+            self._scene.add_label(f"{self._root}/name", name, position=place + TEXT_OFFSET, anchor="center-left")
 
     def show(self, moment: Moment) -> None:
         """Draw what has changed since the last moment."""
@@ -96,7 +107,7 @@ class SessionScene:
             message = moment.get(channel)
             if message is not self._shown.get(channel):
                 self._shown[channel] = message
-                draw(message)  # type: ignore[operator]
+                draw(message)
 
     def _show_robot(self, truth: truth_robot_t | None) -> None:
         if truth is None:
@@ -104,8 +115,6 @@ class SessionScene:
         self._trunk.position = np.array(truth.trunk_position)
         self._trunk.wxyz = np.array(truth.trunk_quaternion)
         self._robot.update_cfg(np.array(truth.joint_angle)[self._order])
-        if self._name is not None:
-            self._name.position = np.array(truth.trunk_position) + self._name_offset
 
     def _show_ball(self, truth: truth_ball_t | None) -> None:
         self._ball.visible = truth is not None
@@ -136,6 +145,21 @@ class SessionScene:
         self._target.visible = started
         if started:
             self._target.position = np.array(plan.target_position)  # type: ignore[union-attr]
+
+
+def _matt(model: yourdfpy.URDF) -> yourdfpy.URDF:
+    """Give the shapes the colours of the URDF as paint; by default they would be metal, black without surroundings."""
+    for shape in model.scene.geometry.values():
+        color = shape.visual.main_color
+        shape.visual = TextureVisuals(
+            material=PBRMaterial(
+                baseColorFactor=color,
+                metallicFactor=0.0,
+                roughnessFactor=0.8,
+                alphaMode="OPAQUE" if color[3] == 255 else "BLEND",
+            )
+        )
+    return model
 
 
 def _segments(path: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

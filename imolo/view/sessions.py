@@ -1,7 +1,7 @@
 """What can be seen at a moment: the newest message of each channel, of a log or of a bus."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from imolo import channels
@@ -30,11 +30,12 @@ class RecordedSession:
     Attributes:
         name: What to call it beside others.
         robot: Name of its robot.
+        backend: Name of its backend.
         duration: Time of its last message [s].
     """
 
     def __init__(self, log: Log, name: str) -> None:
-        """Prepare a log.
+        """Prepare a log, to be shown under a name.
 
         Raises:
             BusError: The log shows nothing, or does not say which robot it shows.
@@ -44,6 +45,7 @@ class RecordedSession:
         if start is None:
             raise BusError(f"{log.path} holds no start of a trial, so its robot is not known")
         self.robot: str = start.robot
+        self.backend: str = start.backend
         # Shown by the time a message tells, not by the time it was recorded: a frame of the cameras arrives late.
         self._times = {name: [message.utime * 1e-6 for message in log.messages[name]] for name in SEEN}
         self._messages = log.messages
@@ -53,6 +55,15 @@ class RecordedSession:
         """Return the newest messages at a time [s]."""
         newest = {name: bisect_right(times, time + 1e-9) - 1 for name, times in self._times.items()}
         return {name: self._messages[name][index] for name, index in newest.items() if index >= 0}
+
+
+def recorded_sessions(logs: Sequence[Log], names: Sequence[str]) -> list[RecordedSession]:
+    """Prepare logs; they are called by their backends where these differ, and by the names given where not."""
+    sessions = [RecordedSession(log, name) for log, name in zip(logs, names, strict=True)]
+    if len({session.backend for session in sessions}) == len(sessions):
+        for session in sessions:
+            session.name = session.backend
+    return sessions
 
 
 class LiveSession:

@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import viser
@@ -14,6 +16,7 @@ from imolo.view.scene import SessionScene, prepare_scene, show_all
 from imolo.view.sessions import LiveSession, RecordedSession
 
 HOST = "127.0.0.1"
+CLOCK = (-1.0, 0.0, 2.2)  # [m]
 PICTURES = 60.0  # [Hz] of the browser
 
 
@@ -41,9 +44,20 @@ def _open(sessions: Sequence[RecordedSession], port: int) -> tuple[viser.ViserSe
 
 
 def _server(port: int) -> viser.ViserServer:
-    server = viser.ViserServer(host=HOST, port=port, label="imolo", verbose=False)
+    with _silence():
+        server = viser.ViserServer(host=HOST, port=port, label="imolo", verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
+
+
+def _stop(server: viser.ViserServer) -> None:
+    with _silence():
+        server.stop()
+
+
+def _silence() -> AbstractContextManager[object]:
+    # viser prints its address and its end, whether told to be verbose or not.
+    return redirect_stdout(StringIO())
 
 
 def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) -> None:
@@ -59,7 +73,7 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
     """
     server, scenes = _open(sessions, 0)
     try:
-        clock = server.scene.add_label("/time", "", position=(0.0, 0.0, 2.3), anchor="bottom-center")
+        clock = server.scene.add_label("/time", "", position=CLOCK, anchor="center-left")
         show_all(scenes, [session.at(0.0) for session in sessions])
         recording = server.get_scene_serializer()
         for now in _times(sessions, speed / PICTURES):
@@ -68,7 +82,7 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
             recording.insert_sleep(1.0 / PICTURES)
         html = recording.as_html()
     finally:
-        server.stop()
+        _stop(server)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(html, encoding="utf-8")
@@ -100,7 +114,7 @@ def serve(sessions: Sequence[RecordedSession], port: int, speed: float, tell: Ca
                 show_all(scenes, [session.at(slider.value) for session in sessions])
             time.sleep(1.0 / PICTURES)
     finally:
-        server.stop()
+        _stop(server)
 
 
 def serve_live(url: str, port: int, robot: str, tell: Callable[[str], None]) -> None:
@@ -120,11 +134,10 @@ def serve_live(url: str, port: int, robot: str, tell: Callable[[str], None]) -> 
     try:
         while True:
             bus.wait(1.0 / PICTURES)
-            bus.drain()
             now = time.monotonic()
             if now >= picture:
                 picture = now + 1.0 / PICTURES
                 with server.atomic():
                     scene.show(session.at())
     finally:
-        server.stop()
+        _stop(server)

@@ -1,0 +1,33 @@
+"""What tests need that `make test` does not install: where it is missing they are skipped, saying how to get it.
+
+`IMOLO_REQUIRE`, a comma-separated list of such things, makes them fail instead; `.ci/run` sets it. What is not listed
+in `OPTIONAL` is always required, so that the matrix cannot shrink unseen.
+"""
+
+import os
+import shutil
+
+import pytest
+
+
+def _programs(package: str, *names: str) -> str:
+    missing = [name for name in names if shutil.which(name) is None]
+    return f"{', '.join(missing)} not found; apt-get install {package}" if missing else ""
+
+
+OPTIONAL = {
+    "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
+    "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),
+    "netns": lambda: _programs("iproute2", "ip") or ("" if os.geteuid() == 0 else "network namespaces need root"),
+}
+"""By name: a function that says what is missing and how to get it; an empty text where nothing is."""
+
+REQUIRED = {name.strip() for name in os.environ.get("IMOLO_REQUIRE", "").split(",")} - {""}
+if unknown := REQUIRED - set(OPTIONAL):
+    raise pytest.UsageError(f"IMOLO_REQUIRE names {sorted(unknown)}; known: {sorted(OPTIONAL)}")
+
+
+def needs(*names: str) -> list[pytest.MarkDecorator]:
+    """Return the marks of a test that needs these."""
+    problems = [problem for name in names if name in OPTIONAL and name not in REQUIRED if (problem := OPTIONAL[name]())]
+    return [pytest.mark.skip(reason="; ".join(problems))] if problems else []
