@@ -76,6 +76,9 @@ class LiveSession:
 
         def listen(channel: str) -> Callable[[Any], None]:
             def keep(message: Any) -> None:
+                if channel == channels.TRIAL and message.event == EventName.START:
+                    # What is left of the trial before does not belong to this one.
+                    self._newest.clear()
                 self._newest[channel] = message
                 on_change(channel)
 

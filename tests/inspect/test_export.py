@@ -5,6 +5,9 @@ import json
 from pathlib import Path
 
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.reader import make_reader
 from pyarrow import parquet
 from recorded_trials import Recorded, Run
 
@@ -46,8 +49,6 @@ def test_parquet_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, ru
 
 
 def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-
     code, output, _ = run("export", recorded.first, "--out", tmp_path / "log.mcap")
     assert (code, output.strip()) == (0, str(tmp_path / "log.mcap"))
     found: dict[str, list[tuple[int, str, object]]] = {}
@@ -69,15 +70,10 @@ def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run:
 
 
 def test_scene_is_what_foxglove_defines(recorded: Recorded, run: Run, tmp_path: Path) -> None:
-    """Against the definitions of Foxglove, as far as its Python package is installed here."""
-    update = pytest.importorskip("foxglove_schemas_protobuf.SceneUpdate_pb2").SceneUpdate
-    transforms = pytest.importorskip("foxglove_schemas_protobuf.FrameTransforms_pb2").FrameTransforms
-    from mcap.reader import make_reader
-
     run("export", recorded.first, "--out", tmp_path / "log.mcap")
     with (tmp_path / "log.mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=["/scene", "/tf"]):
-            known = update if channel.topic == "/scene" else transforms
+            known = SceneUpdate if channel.topic == "/scene" else FrameTransforms
             _assert_fields(json.loads(message.data), known.DESCRIPTOR)
 
 

@@ -14,6 +14,7 @@ from recorded_trials import Recorded, Run
 from requirements import needs
 
 from imolo import channels
+from imolo.backend import EventName
 from imolo.bus import Bus
 from imolo.inspect.fields import parse_selector, series
 from imolo.inspect.plot import draw_fields, short_names
@@ -182,6 +183,12 @@ def test_live_session_shows_what_came_last() -> None:
     bus.drain()
     assert session.at()["TRUTH_ROBOT"].utime == 2
     assert "MOCAP" not in session.at()
+    start = trial_event_t()
+    start.event, start.robot = EventName.START, "liberobot"
+    bus.publish(channels.TRIAL, start)
+    bus.drain()
+    assert set(session.at()) == {"TRIAL"}
+    assert session.robot == "liberobot"
 
 
 def test_backend_tells_what_its_robot_looks_like() -> None:
