@@ -2,9 +2,11 @@
 PYTHON ?= python3
 # Versions that were tested together; `make CONSTRAINTS= test` tries the newest ones.
 CONSTRAINTS ?= constraints.txt
-EXTRAS ?= mujoco,pybullet,dart,export,view,dev
+EXTRAS ?= mujoco,pybullet,dart,dev
 BIN := .venv/bin
 READY := .venv/.ready
+# `imolo view` and `imolo export`: half a gigabyte that the demo does without.
+VIEWERS := .venv/.viewers
 
 .PHONY: help demo test test-slow lint bench messages clean
 
@@ -14,10 +16,10 @@ help: ## List what can be made.
 demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
 	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo
 
-test: $(READY) ## Run the tests, the long matrices left out.
+test: $(VIEWERS) ## Run the tests, the long matrices left out.
 	$(BIN)/python -m pytest -m "not slow" -n auto
 
-test-slow: $(READY) ## Run the long matrices.
+test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
 
 lint: $(READY) ## Check style and types.
@@ -39,3 +41,7 @@ $(READY): pyproject.toml $(CONSTRAINTS)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS)]"
 	touch $(READY)
+
+$(VIEWERS): $(READY)
+	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS),export,view]"
+	touch $(VIEWERS)
