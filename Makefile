@@ -5,6 +5,8 @@ CONSTRAINTS ?= constraints.txt
 EXTRAS ?= mujoco,pybullet,dart,dev
 BIN := .venv/bin
 READY := .venv/.ready
+# `imolo view` and `imolo export`: half a gigabyte that the demo does without.
+VIEWERS := .venv/.viewers
 
 .PHONY: help demo ode test test-slow lint bench messages clean
 
@@ -17,10 +19,10 @@ demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
 ode: $(READY) ## Add ODE, the paper's engine, from Debian's packages; no root needed.
 	tools/get_ode
 
-test: $(READY) ## Run the tests, the long matrices left out.
+test: $(VIEWERS) ## Run the tests, the long matrices left out.
 	$(BIN)/python -m pytest -m "not slow" -n auto
 
-test-slow: $(READY) ## Run the long matrices.
+test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
 
 lint: $(READY) ## Check style and types.
@@ -42,3 +44,7 @@ $(READY): pyproject.toml $(CONSTRAINTS)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS)]"
 	touch $(READY)
+
+$(VIEWERS): $(READY)
+	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS),export,view]"
+	touch $(VIEWERS)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -74,6 +75,23 @@ class Backend(Protocol):
 
 
 @dataclass(frozen=True)
+class RobotDescription:
+    """What a viewer needs to draw the robot of a backend.
+
+    Attributes:
+        name: As in the messages on TRIAL.
+        urdf: Its model; the base link moves freely.
+        joint_names: Joints of the model in the order of TRUTH_ROBOT.
+        boxes: Fixed boxes around it: position and side lengths [m], each of shape (3,).
+    """
+
+    name: str
+    urdf: Path
+    joint_names: tuple[str, ...]
+    boxes: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
+
+
+@dataclass(frozen=True)
 class BackendPlugin:
     """What an entry point of the group `imolo.backends` names.
 
@@ -85,6 +103,7 @@ class BackendPlugin:
         limitations: What it cannot do under its default options.
         ingredients: What can be exchanged in it, for `imolo attribute`: by ingredient, the alternative settings, each
             a set of the backend's options.
+        robot: What its robot looks like; None where that is not known.
     """
 
     summary: str
@@ -93,3 +112,4 @@ class BackendPlugin:
     checks: Callable[[Model], Sequence[Check]] = lambda _: ()
     limitations: tuple[Limitation, ...] = ()
     ingredients: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+    robot: RobotDescription | None = None

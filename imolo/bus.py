@@ -1,5 +1,6 @@
 """The message bus: LCM with our channels, and errors that say what to do."""
 
+import select
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -58,13 +59,18 @@ class Bus:
         self._lcm.subscribe(channel, lambda _, data: handler(decode(data)))
 
     def subscribe_raw(self, handler: Callable[[str, bytes], None]) -> None:
-        """Call `handler` with channel and bytes of every message on the bus, from within `drain`."""
-        self._lcm.subscribe(".*", handler)
+        """Call `handler` with channel and bytes of every message on the bus, from within `drain`; none is dropped."""
+        self._lcm.subscribe(".*", handler).set_queue_capacity(0)
 
     def drain(self) -> None:
         """Handle every waiting message, those included that handlers publish meanwhile."""
         while self._lcm.handle_timeout(0) > 0:
             pass
+
+    def wait(self, timeout: float) -> None:
+        """Wait for a message for `timeout` [s] at most, and handle all that is there."""
+        if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
+            self.drain()
 
 
 def _message_type(channel: str) -> type[Any]:

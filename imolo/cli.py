@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from imolo.errors import BackendNotFoundError, ConfigError, ImoloError, did_you_mean
+from imolo.inspect import commands as inspect_commands
 
 # The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ app = typer.Typer(
     help="Jump-and-hit motions of a pneumatic humanoid from a lookup table of learned dynamics (IMoLo), "
     "compared across physics engines over LCM.",
 )
+app.add_typer(inspect_commands.app)
 console = Console()
 errors = Console(stderr=True)
 

@@ -32,6 +32,14 @@ class BusError(ImoloError):
     """The message bus cannot be opened, or a log cannot be read or written."""
 
 
+class FieldError(ImoloError):
+    """A message has no such field, or a log no such channel."""
+
+
+class MissingToolError(ImoloError):
+    """A program or an optional package that a command needs is not installed."""
+
+
 class TrainingDataError(ImoloError):
     """There is no or too little data to learn from."""
 

@@ -1,7 +1,8 @@
 """Logs: every message of a trial in an LCM event log that lcm-logplayer can play, and the way back."""
 
+import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ import lcm
 from imolo.bus import Bus
 from imolo.channels import CHANNELS
 from imolo.errors import BusError
+from imolo.log_file import HEADER, Damage, LogEvent, read_events
+
+logger = logging.getLogger(__name__)
 
 
 class Recorder:
@@ -60,41 +64,56 @@ class Log:
         path: Where it was read.
         messages: For every channel of the channel table its messages; empty where it was silent.
         received: Time at which each of them was recorded [µs].
+        damage: What could not be read; empty for a log in order.
     """
 
     path: Path
     messages: dict[str, list[Any]] = field(default_factory=lambda: {name: [] for name in CHANNELS})
     received: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in CHANNELS})
+    damage: list[Damage] = field(default_factory=list)
 
 
 def read_log(path: Path) -> Log:
-    """Read and decode a log; channels that are not ours are passed over.
+    """Read and decode a log; channels that are not ours are passed over, damage is skipped and told in a warning.
 
     Raises:
-        BusError: The file is missing or no log, or a message in it is not of its channel's type.
+        BusError: The file is missing or no log, or a channel in it carries messages of another type.
     """
-    if not path.is_file():
-        raise BusError(f"there is no log {path}")
-    log = Log(path)
-    events = lcm.EventLog(str(path), "r")
-    seen = False
-    try:
-        for event in events:
-            seen = True
-            channel = CHANNELS.get(event.channel)
-            if channel is None:
-                continue
-            try:
-                message = channel.message_type.decode(event.data)
-            except (ValueError, struct.error) as error:
-                raise BusError(
-                    f"{path}: event {event.eventnum} on {event.channel} is no {channel.message_type.__name__}; "
-                    "was it recorded with other message types?"
-                ) from error
-            log.messages[event.channel].append(message)
-            log.received[event.channel].append(event.timestamp)
-    finally:
-        events.close()
-    if path.stat().st_size and not seen:
-        raise BusError(f"{path} is no LCM log; give a file that imolo or lcm-logger wrote")
+    events, damage = read_events(path)
+    log = Log(path, damage=damage)
+    broken: dict[str, LogEvent] = {}
+    for event in events:
+        if event.channel not in CHANNELS:
+            continue
+        message = decode(event.channel, event.data)
+        if message is None:
+            broken.setdefault(event.channel, event)
+            end = event.offset + HEADER.size + len(event.channel) + len(event.data)
+            damage.append(Damage(event.offset, end, event.utime, f"a damaged message on {event.channel}"))
+            continue
+        log.messages[event.channel].append(message)
+        log.received[event.channel].append(event.utime)
+    for name, event in broken.items():
+        if not log.messages[name]:
+            raise BusError(
+                f"{path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
+                "was it recorded with other message types?"
+            )
+    damage.sort(key=lambda part: part.start)
+    warn_of_damage(path, damage)
     return log
+
+
+def decode(channel: str, data: bytes) -> Any | None:
+    """Return the message that these bytes of a channel of ours hold, or None if they hold none of its type."""
+    try:
+        return CHANNELS[channel].message_type.decode(data)
+    except (ValueError, struct.error, MemoryError, OverflowError):
+        return None
+
+
+def warn_of_damage(path: Path, damage: Sequence[Damage]) -> None:
+    """Say in one line what is wrong with a log."""
+    if damage:
+        others = f", and {len(damage) - 1} more" if len(damage) > 1 else ""
+        logger.warning("%s is damaged: %s%s; the rest was read", path, damage[0], others)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 
-from imolo.backend import BackendPlugin
+from imolo.backend import BackendPlugin, RobotDescription
 from imolo.errors import BackendNotFoundError, did_you_mean
 
 GROUP = "imolo.backends"
@@ -56,6 +56,15 @@ def load_backend(name: str) -> BackendPlugin:
     if status.plugin is None:
         raise BackendNotFoundError(f"backend {name!r} cannot be used: {status.problem}")
     return status.plugin
+
+
+def describe_robot(name: str) -> RobotDescription | None:
+    """Return what a robot looks like, from any backend that is ready and has it; None if none has."""
+    for backend in backend_names():
+        plugin = backend_status(backend).plugin
+        if plugin is not None and plugin.robot is not None and plugin.robot.name == name:
+            return plugin.robot
+    return None
 
 
 def _how_to_install(entry_point: EntryPoint, error: ImportError) -> str:

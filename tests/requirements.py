@@ -5,12 +5,24 @@ in `OPTIONAL` is always required, so that the matrix cannot shrink unseen.
 """
 
 import os
+import shutil
 
 import pytest
 
 from imolo.registry import backend_status
 
-OPTIONAL = {"ode": lambda: backend_status("ode").problem}
+
+def _programs(package: str, *names: str) -> str:
+    missing = [name for name in names if shutil.which(name) is None]
+    return f"{', '.join(missing)} not found; apt-get install {package}" if missing else ""
+
+
+OPTIONAL = {
+    "ode": lambda: backend_status("ode").problem,
+    "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
+    "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),
+    "netns": lambda: _programs("iproute2", "ip") or ("" if os.geteuid() == 0 else "network namespaces need root"),
+}
 """By name: a function that says what is missing and how to get it; an empty text where nothing is."""
 
 REQUIRED = {name.strip() for name in os.environ.get("IMOLO_REQUIRE", "").split(",")} - {""}

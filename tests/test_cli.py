@@ -21,7 +21,10 @@ from imolo.cli import main
 from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
-COMMANDS = ("backends", "check", "compare", "learn", "hit", "ball", "attribute")
+COMMANDS = (
+    *("backends", "check", "attribute", "compare", "learn", "hit", "ball"),
+    *("spy", "top", "replay", "diff", "export", "plot", "view"),
+)
 GOOD = "backend: {name: mujoco}\n"
 
 Run = Callable[..., tuple[int, str, str]]

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from imolo.backend import RobotDescription
 from imolo.config.simulation import BallConfig, ContactConfig
 from imolo.errors import BackendError
 from imolo_backends.engine import Array, Ball, BoxShape, Scene
@@ -114,6 +115,13 @@ def standing_box() -> BoxShape:
     return BoxShape(
         BOX_NAME, (-0.5 * BOX_DEPTH, 0.0, 0.5 * BOX_HEIGHT), (0.5 * BOX_DEPTH, 0.5 * BOX_WIDTH, 0.5 * BOX_HEIGHT)
     )
+
+
+def robot_description() -> RobotDescription:
+    """Return what a viewer needs to draw the robot on its box."""
+    box = standing_box()
+    x, y, z = box.half_extents
+    return RobotDescription(ROBOT_NAME, URDF, JOINT_NAMES, ((box.center, (2.0 * x, 2.0 * y, 2.0 * z)),))
 
 
 def ready_scene(

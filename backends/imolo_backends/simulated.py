@@ -32,6 +32,7 @@ from imolo_backends.liberobot import (
     ROBOT_NAME,
     SOLE_RADIUS,
     ready_scene,
+    robot_description,
 )
 from imolo_backends.mocap import Mocap
 from imolo_backends.plant import Plant
@@ -293,7 +294,7 @@ def simulated_plugin(
     def checks(chosen: Model) -> tuple[Check, ...]:
         return engine_checks(engine, options.model_validate(chosen.model_dump()))
 
-    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {})
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {}, robot_description())
 
 
 def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:

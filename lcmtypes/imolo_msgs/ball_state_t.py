@@ -37,7 +37,7 @@ class ball_state_t(object):
 
         self.covariance = [ [ 0.0 for dim1 in range(6) ] for dim0 in range(6) ]
         """
-        Covariance of position [m] and velocity [m/s].
+        Covariance of position and velocity, in the units above.
         LCM Type: double[6][6]
         """
 

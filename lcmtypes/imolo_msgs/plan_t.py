@@ -32,7 +32,11 @@ class plan_t(object):
         self.answered_frame = 0
         """ LCM Type: int32_t """
         self.state = 0
-        """ LCM Type: int8_t """
+        """
+        One of the constants above.
+        LCM Type: int8_t
+        """
+
         self.theta = [ 0.0 for dim0 in range(2) ]
         """
         Motion parameter theta = (k [-], t_w [s]) (Eq. 3); zero until a motion has started.
@@ -40,7 +44,11 @@ class plan_t(object):
         """
 
         self.plan_onset_utime = 0
-        """ LCM Type: int64_t """
+        """
+        Start of the motion [us]; zero until one has started.
+        LCM Type: int64_t
+        """
+
         self.hit_utime = 0
         """
         When the hand is to be at the target [us].
@@ -55,14 +63,18 @@ class plan_t(object):
 
         self.prediction_step = 0.0
         """
-        Predicted positions of the ball [m], the first one prediction_step [s] after utime.
+        Time between two predicted positions, and from utime to the first [s].
         LCM Type: double
         """
 
         self.num_predictions = 0
         """ LCM Type: int32_t """
         self.predicted_position = []
-        """ LCM Type: float[num_predictions][3] """
+        """
+        Predicted positions of the ball, world frame [m].
+        LCM Type: float[num_predictions][3]
+        """
+
 
     def encode(self):
         buf = BytesIO()

@@ -18,7 +18,11 @@ class trial_event_t(object):
 
     def __init__(self):
         self.utime = 0
-        """ LCM Type: int64_t """
+        """
+        Time of the event [us].
+        LCM Type: int64_t
+        """
+
         self.trial = 0
         """ LCM Type: int32_t """
         self.event = ""

@@ -18,15 +18,23 @@ class truth_ball_t(object):
 
     def __init__(self):
         self.utime = 0
-        """ LCM Type: int64_t """
+        """
+        Time of the state [us].
+        LCM Type: int64_t
+        """
+
         self.true_ball_position = [ 0.0 for dim0 in range(3) ]
         """
-        Position [m] and velocity [m/s] of the centre, world frame.
+        Position of the centre, world frame [m].
         LCM Type: double[3]
         """
 
         self.true_ball_velocity = [ 0.0 for dim0 in range(3) ]
-        """ LCM Type: double[3] """
+        """
+        Velocity of the centre, world frame [m/s].
+        LCM Type: double[3]
+        """
+
 
     def encode(self):
         buf = BytesIO()

@@ -18,31 +18,47 @@ class truth_robot_t(object):
 
     def __init__(self):
         self.utime = 0
-        """ LCM Type: int64_t """
+        """
+        Time of the state [us].
+        LCM Type: int64_t
+        """
+
         self.trunk_position = [ 0.0 for dim0 in range(3) ]
         """
-        Origin of the trunk, world frame [m], and its rotation as a quaternion w, x, y, z.
+        Origin of the trunk, world frame [m].
         LCM Type: double[3]
         """
 
         self.trunk_quaternion = [ 0.0 for dim0 in range(4) ]
-        """ LCM Type: double[4] """
+        """
+        Rotation of the trunk as a quaternion w, x, y, z [-].
+        LCM Type: double[4]
+        """
+
         self.joint_angle = [ 0.0 for dim0 in range(8) ]
         """
-        Joints in the order of imolo_backends.liberobot.JOINT_NAMES [rad], [rad/s].
+        Joints in the order of imolo_backends.liberobot.JOINT_NAMES [rad].
         LCM Type: double[8]
         """
 
         self.joint_velocity = [ 0.0 for dim0 in range(8) ]
-        """ LCM Type: double[8] """
+        """
+        In the same order [rad/s].
+        LCM Type: double[8]
+        """
+
         self.right_hand_position = [ 0.0 for dim0 in range(3) ]
         """
-        Centres of the plates, world frame [m].
+        Centre of the right plate, world frame [m].
         LCM Type: double[3]
         """
 
         self.left_hand_position = [ 0.0 for dim0 in range(3) ]
-        """ LCM Type: double[3] """
+        """
+        Centre of the left plate, world frame [m].
+        LCM Type: double[3]
+        """
+
 
     def encode(self):
         buf = BytesIO()

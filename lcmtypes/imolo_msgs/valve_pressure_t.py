@@ -18,7 +18,11 @@ class valve_pressure_t(object):
 
     def __init__(self):
         self.utime = 0
-        """ LCM Type: int64_t """
+        """
+        Time of the measurement [us].
+        LCM Type: int64_t
+        """
+
         self.pressure_sequence = 0
         """ LCM Type: int32_t """
         self.pressure = [ 0.0 for dim0 in range(8) ]

@@ -1,0 +1,1 @@
+"""Looking at what is or was on the bus: tables, plots, comparisons, exports."""

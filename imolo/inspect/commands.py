@@ -1,0 +1,208 @@
+"""The commands that look at what is or was on the bus."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from imolo.errors import ConfigError, did_you_mean
+
+# As in imolo.cli, the commands import what they need themselves.
+if TYPE_CHECKING:
+    from imolo.inspect.diff import RunComparison
+
+app = typer.Typer()
+console = Console()
+
+URL = "udpm://239.255.76.67:7667?ttl=0"
+DIFFERENT = 1  # exit code where two runs are not the same, as of diff
+
+OneLog = Annotated[Path, typer.Argument(metavar="LOG", help="A .lcmlog.")]
+MaybeLog = Annotated[Path | None, typer.Argument(metavar="[LOG]", help="A .lcmlog to look at in place of a bus.")]
+Url = Annotated[str, typer.Option(help="LCM URL of the bus.")]
+
+
+@app.command()
+def spy(
+    log: MaybeLog = None,
+    url: Url = URL,
+    speed: Annotated[float, typer.Option(help="How fast the log is played.")] = 1.0,
+) -> None:
+    """Open lcm-spy with our types decoded; needs Java."""
+    from imolo.inspect.spy import open_spy
+
+    open_spy(url, log, speed)
+
+
+@app.command()
+def top(
+    log: MaybeLog = None,
+    url: Url = URL,
+    seconds: Annotated[float | None, typer.Option(help="End after this long.", show_default="Ctrl-C")] = None,
+) -> None:
+    """Show the channels with rate, age, jitter, missing messages and last values."""
+    from imolo.inspect.top import log_table, watch
+
+    if log is not None:
+        console.print(log_table(log, console.width))
+        return
+    try:
+        watch(url, console, seconds)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+
+
+@app.command()
+def replay(
+    log: OneLog,
+    table: Annotated[Path, typer.Option(help="Table the trial was planned with.")],
+    method: Annotated[str, typer.Option(help="Method whose planner is used.")] = "improved",
+    config: Annotated[
+        Path | None, typer.Option(help="Config the trial ran with.", show_default="the defaults of imolo")
+    ] = None,
+) -> None:
+    """Feed a recorded session to the planner and compare what it says now to what it said then.
+
+    The exit code is 0 where every message is the same to the byte, and 1 where not.
+    """
+    from imolo.inspect.replay import replay as run
+
+    result = run(log, table, method, config)
+    total = sum(channel.counts[0] for channel in result.channels)
+    _print_channels(result, "recorded", "replayed")
+    if result.first is not None:
+        console.print(f"the planner parts from the log: {result.first}", highlight=False, markup=False, soft_wrap=True)
+        raise typer.Exit(DIFFERENT)
+    console.print(f"the planner says the same: {total} messages, byte by byte", highlight=False)
+
+
+@app.command()
+def diff(
+    first: OneLog,
+    second: OneLog,
+    out: Annotated[Path | None, typer.Option(help="Draw how they go apart to this file.")] = None,
+) -> None:
+    """Say where two runs part: first message, field and time, then channel by channel.
+
+    The exit code is 0 where they are the same, and 1 where not.
+    """
+    from imolo.inspect.diff import compare_logs
+
+    result = compare_logs(first, second)
+    _print_channels(result, "first", "second")
+    if result.first is not None:
+        console.print(f"they part at {result.first}", highlight=False, markup=False, soft_wrap=True)
+    elif not result.same_recording:
+        console.print("the messages are the same, but not their order or the times at which they were recorded")
+    else:
+        console.print("the runs are the same")
+    if out is not None:
+        from imolo.inspect.divergence import draw_divergence
+        from imolo.inspect.plot import save_figure
+        from imolo.log import read_log
+
+        save_figure(draw_divergence(read_log(first), read_log(second), result.first), out)
+        console.print(f"the figure is {out}", highlight=False, markup=False, soft_wrap=True)
+    if result.first is not None or not result.same_recording:
+        raise typer.Exit(DIFFERENT)
+
+
+@app.command()
+def export(
+    log: OneLog,
+    to: Annotated[str, typer.Option(help="mcap (Foxglove), csv or parquet.")] = "mcap",
+    out: Annotated[
+        Path | None, typer.Option(help="File (mcap) or folder (csv, parquet).", show_default="beside the log")
+    ] = None,
+) -> None:
+    """Turn a log into MCAP, or into a CSV or Parquet table for each channel."""
+    from imolo.inspect.export import ExportFormat
+    from imolo.inspect.export import export as write
+    from imolo.log import read_log
+
+    known = [each.value for each in ExportFormat]
+    if to not in known:
+        raise ConfigError(f"unknown format {to!r}{did_you_mean(to, known)}; known: {', '.join(known)}")
+    for path in write(read_log(log), ExportFormat(to), out):
+        console.print(str(path), highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def plot(
+    log: OneLog,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="FIELD...", help="Such as MOCAP.frame_number or PLAN.theta[1].")
+    ],
+    others: Annotated[list[Path] | None, typer.Option("--log", help="A log to draw over it; any number.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write.", show_default="a window")] = None,
+) -> None:
+    """Plot fields of a log over time: CHANNEL.field, with [index] or [from:to] for arrays."""
+    from imolo.inspect.fields import parse_selector
+    from imolo.inspect.plot import draw_fields, save_figure, show_figure
+    from imolo.log import read_log
+
+    selectors = [parse_selector(field) for field in fields]
+    figure = draw_fields([read_log(path) for path in (log, *(others or []))], selectors)
+    if out is None:
+        show_figure(figure)
+    else:
+        save_figure(figure, out)
+        console.print(f"the figure is {out}", highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    logs: Annotated[
+        list[Path] | None, typer.Argument(metavar="[LOG]...", help="Logs to show over each other, such as of engines.")
+    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Write one file that plays offline, and end.")] = None,
+    url: Url = URL,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page, on this machine only.")] = 8080,
+    speed: Annotated[float, typer.Option(min=0.01, help="How fast logs are played.")] = 0.25,
+    robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
+) -> None:
+    """Show sessions in the browser: logs, or without any the session that runs on a bus."""
+    from imolo.inspect.export import import_extra
+    from imolo.log import read_log
+
+    import_extra("viser", "view")
+    import_extra("yourdfpy", "view")
+    from imolo.inspect.plot import short_names
+    from imolo.view import viewer
+    from imolo.view.sessions import recorded_sessions
+
+    def tell(address: str) -> None:
+        console.print(f"open {address} (Ctrl-C ends)", highlight=False, soft_wrap=True)
+
+    if html is not None and not logs:
+        raise ConfigError("--html needs logs to write; a running session can only be watched")
+    try:
+        if not logs:
+            viewer.serve_live(url, port, robot, tell)
+            return
+        sessions = recorded_sessions([read_log(log) for log in logs], short_names(logs))
+        if html is None:
+            viewer.serve(sessions, port, speed, tell)
+        else:
+            viewer.write_html(sessions, html, speed)
+            console.print(f"the view is {html}", highlight=False, markup=False, soft_wrap=True)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+
+
+def _print_channels(result: "RunComparison", first: str, second: str) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("channel", no_wrap=True)
+    for column in (first, second, "same", "parts at s"):
+        table.add_column(column, justify="right")
+    table.add_column("largest difference")
+    for channel in result.channels:
+        parting = "-" if channel.first is None else f"{channel.first.utime * 1e-6:.6f}"
+        largest = f"{channel.largest_field} {channel.largest:.4g}" if channel.largest_field else "-"
+        counts = [str(count) for count in (*channel.counts, channel.equal)]
+        table.add_row(channel.channel, *counts, parting, largest)
+    console.print(table)

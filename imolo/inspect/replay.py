@@ -1,0 +1,77 @@
+"""Feed a recorded session to a planner, and see whether it says what it said."""
+
+from pathlib import Path
+
+from imolo import channels
+from imolo.backend import EventName
+from imolo.ball.fit import restore_ball_model
+from imolo.bus import Bus
+from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+from imolo.errors import BusError, ConfigError, did_you_mean
+from imolo.inspect.diff import RunComparison, compare_runs
+from imolo.log import decode, read_log
+from imolo.log_file import LogEvent, read_events
+from imolo.method.planner import Planner
+from imolo.method.table import LookupTable
+
+HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
+SAID = (channels.VALVE_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
+
+
+def replay(log_path: Path, table_path: Path, method: str, config_path: Path | None) -> RunComparison:
+    """Replay a log to a planner in the order of the log, and compare its messages to the recorded ones, byte by byte.
+
+    Args:
+        log_path: Log of a trial.
+        table_path: Table of the planner.
+        method: Whose planner settings are used.
+        config_path: Config that the trial ran with; None for the defaults.
+
+    Raises:
+        BusError: The log cannot be read, or holds no start of a trial.
+        ConfigError: The config cannot be read, or has no such method.
+        TableFileError: The table cannot be read, or is for another robot.
+    """
+    events, _ = read_events(log_path)
+    log = read_log(log_path)
+    start = next((event for event in log.messages[channels.TRIAL] if event.event == EventName.START), None)
+    if start is None:
+        raise BusError(f"{log_path} holds no start of a trial, so there is nothing to replay")
+    config = _config(config_path, start.backend)
+    if method not in config.methods:
+        raise ConfigError(
+            f"unknown method {method!r}{did_you_mean(method, config.methods)}; known: {', '.join(config.methods)}"
+        )
+    table = LookupTable.load(table_path, start.robot)
+    ball_model = restore_ball_model(table.origin["ball_model"])
+    planner = Planner(table, ball_model, config.methods[method].planner, config.tracker)
+    recorded = [event for event in events if event.channel in SAID]
+    return compare_runs(recorded, answers(planner, events))
+
+
+def answers(planner: Planner, events: list[LogEvent]) -> list[LogEvent]:
+    """Return what a planner publishes when it hears the recorded events, stamped by the event it answers."""
+    bus = Bus()
+    planner.attach(bus)
+    said: list[LogEvent] = []
+    now = 0
+
+    def keep(channel: str, data: bytes) -> None:
+        if channel in SAID:
+            said.append(LogEvent(len(said), now, channel, data, 0))
+
+    bus.subscribe_raw(keep)
+    for event in events:
+        message = decode(event.channel, event.data) if event.channel in HEARD else None
+        if message is None:
+            continue
+        now = event.utime
+        bus.publish(event.channel, message)
+        bus.drain()
+    return said
+
+
+def _config(path: Path | None, backend: str) -> ExperimentConfig:
+    if path is not None:
+        return load_config(path)
+    return ExperimentConfig(backend=BackendConfig(name=backend))

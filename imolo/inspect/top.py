@@ -1,0 +1,98 @@
+"""The channels as a table in the terminal, of a log or live."""
+
+import time
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from imolo.bus import Bus
+from imolo.channels import CHANNELS
+from imolo.inspect.statistics import BusStatistics, ChannelStatistics, statistics_of
+from imolo.log import warn_of_damage
+from imolo.log_file import read_events
+
+REFRESH = 0.25  # [s] between two pictures of a live table
+STALE = 1.0  # [s] of silence after which a channel is shown dim
+WIDE = 110  # [characters] from which on there is room for the type of a channel
+
+
+def log_table(path: Path, width: int) -> Table:
+    """Return the channels of a whole log, for a terminal of this width [characters].
+
+    Raises:
+        BusError: It is missing or no log.
+    """
+    events, damage = read_events(path)
+    warn_of_damage(path, damage)
+    statistics = statistics_of(events)
+    begin, end = (events[0].utime, events[-1].utime) if events else (0, 0)
+    table = _empty_table(f"{path}, {(end - begin) * 1e-6:.3f} s", "to end", width)
+    for channel in statistics.channels:
+        _add_row(table, channel, channel.mean_rate, end * 1e-6 - channel.last_time, width)
+    return table
+
+
+def live_table(statistics: BusStatistics, url: str, now: float, width: int) -> Table:
+    """Return the channels as they are now [s], silent channels of ours included."""
+    table = _empty_table(url, "age", width)
+    heard = {channel.channel: channel for channel in statistics.channels}
+    for name in CHANNELS:
+        if name not in heard:
+            kind = [CHANNELS[name].message_type.__name__] if width >= WIDE else []
+            table.add_row(name, *kind, "0", "-", "-", "-", "-", "", style="dim")
+    for channel in heard.values():
+        age = now - channel.last_time
+        _add_row(table, channel, channel.rate(now), age, width, style="dim" if age > STALE else "")
+    return table
+
+
+def watch(url: str, console: Console, seconds: float | None = None) -> None:
+    """Show the channels of a bus until Ctrl-C, or for some time [s].
+
+    Raises:
+        BusError: The bus cannot be opened.
+    """
+    bus = Bus(url)
+    statistics = BusStatistics()
+    clock = time.monotonic
+    bus.subscribe_raw(lambda channel, data: statistics.add(channel, data, clock()))
+    end = None if seconds is None else clock() + seconds
+    with Live(live_table(statistics, url, clock(), console.width), console=console, auto_refresh=False) as live:
+        while end is None or clock() < end:
+            picture = clock() + REFRESH
+            while (left := picture - clock()) > 0.0:
+                bus.wait(left)
+            live.update(live_table(statistics, url, clock(), console.width), refresh=True)
+
+
+def _empty_table(title: str, age: str, width: int) -> Table:
+    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, expand=True)
+    table.add_column("channel", no_wrap=True)
+    if width >= WIDE:
+        table.add_column("type", no_wrap=True)
+    for column in ("count", "rate\nHz", f"{age}\ns", "jitter\nms", "missing"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("last values", no_wrap=True, overflow="ellipsis", ratio=1)
+    return table
+
+
+def _add_row(table: Table, channel: ChannelStatistics, rate: float, age: float, width: int, style: str = "") -> None:
+    known = CHANNELS.get(channel.channel)
+    kind = "?" if known is None else known.message_type.__name__
+    broken = f"({channel.undecoded} not decoded) " if channel.undecoded else ""
+    missing = "-" if channel.missing is None else str(channel.missing)
+    table.add_row(
+        escape(channel.channel),
+        *([kind] if width >= WIDE else []),
+        str(channel.count),
+        f"{rate:.1f}",
+        f"{age:.3f}",
+        f"{1e3 * channel.jitter:.2f}",
+        f"[red]{missing}[/red]" if channel.missing else missing,
+        escape(broken + channel.last_values()),
+        style=style,
+    )

@@ -1,0 +1,143 @@
+"""The view in the browser: logs with a slider, a file that plays by itself, or a running session."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import viser
+
+from imolo.backend import RobotDescription
+from imolo.bus import Bus
+from imolo.errors import BackendNotFoundError, ConfigError, ResultsError
+from imolo.registry import describe_robot
+from imolo.view.scene import SessionScene, prepare_scene, show_all
+from imolo.view.sessions import LiveSession, RecordedSession
+
+HOST = "127.0.0.1"
+CLOCK = (-1.0, 0.0, 2.2)  # [m]
+PICTURES = 60.0  # [Hz] of the browser
+
+
+def describe(robot: str) -> RobotDescription:
+    """Return what a robot looks like.
+
+    Raises:
+        BackendNotFoundError: No backend that is ready has it.
+    """
+    found = describe_robot(robot)
+    if found is None:
+        raise BackendNotFoundError(f"no backend that is ready knows robot {robot!r}; `imolo backends` lists them")
+    return found
+
+
+def _open(sessions: Sequence[RecordedSession], port: int) -> tuple[viser.ViserServer, list[SessionScene]]:
+    robots = sorted({session.robot for session in sessions})
+    if len(robots) != 1:
+        raise ConfigError(f"the logs show different robots: {', '.join(robots)}; view them one by one")
+    description = describe(robots[0])
+    server = _server(port)
+    prepare_scene(server, description)
+    alone = len(sessions) == 1
+    return server, [SessionScene(server, description, s.name, number, alone) for number, s in enumerate(sessions)]
+
+
+def _server(port: int) -> viser.ViserServer:
+    with _silence():
+        server = viser.ViserServer(host=HOST, port=port, label="imolo", verbose=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    return server
+
+
+def _stop(server: viser.ViserServer) -> None:
+    with _silence():
+        server.stop()
+
+
+def _silence() -> AbstractContextManager[object]:
+    # viser prints its address and its end, whether told to be verbose or not.
+    return redirect_stdout(StringIO())
+
+
+def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) -> None:
+    """Write one file that shows the sessions without a server or a network.
+
+    Args:
+        sessions: What to show.
+        path: File to write.
+        speed: How fast it plays; below 1 for slow motion.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    server, scenes = _open(sessions, 0)
+    try:
+        clock = server.scene.add_label("/time", "", position=CLOCK, anchor="center-left")
+        show_all(scenes, [session.at(0.0) for session in sessions])
+        recording = server.get_scene_serializer()
+        for now in _times(sessions, speed / PICTURES):
+            show_all(scenes, [session.at(now) for session in sessions])
+            clock.text = f"{now:.3f} s"
+            recording.insert_sleep(1.0 / PICTURES)
+        html = recording.as_html()
+    finally:
+        _stop(server)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise ResultsError(f"cannot write {path}: {error.strerror}; choose another --html") from error
+
+
+def _times(sessions: Sequence[RecordedSession], step: float) -> list[float]:
+    duration = max(session.duration for session in sessions)
+    return [number * step for number in range(int(duration / step) + 2)]
+
+
+def serve(sessions: Sequence[RecordedSession], port: int, speed: float, tell: Callable[[str], None]) -> None:
+    """Show logs with a slider for the time, until Ctrl-C; `tell` is given the address."""
+    server, scenes = _open(sessions, port)
+    duration = max(session.duration for session in sessions)
+    slider = server.gui.add_slider("time [s]", 0.0, round(duration, 3), 0.001, 0.0)
+    rate = server.gui.add_slider("speed", 0.05, 1.0, 0.05, min(max(speed, 0.05), 1.0))
+    playing = server.gui.add_checkbox("play", True)
+    if len(sessions) > 1:
+        server.gui.add_markdown("over each other: " + ", ".join(session.name for session in sessions))
+    tell(f"http://{HOST}:{server.get_port()}")
+    try:
+        while True:
+            if playing.value:
+                ahead = slider.value + rate.value / PICTURES
+                slider.value = ahead if ahead <= duration else 0.0
+            with server.atomic():
+                show_all(scenes, [session.at(slider.value) for session in sessions])
+            time.sleep(1.0 / PICTURES)
+    finally:
+        _stop(server)
+
+
+def serve_live(url: str, port: int, robot: str, tell: Callable[[str], None]) -> None:
+    """Show a running session until Ctrl-C; `tell` is given the address.
+
+    Raises:
+        BusError: The bus cannot be opened.
+    """
+    bus = Bus(url)
+    session = LiveSession(bus)
+    server = _server(port)
+    description = describe(robot)
+    prepare_scene(server, description)
+    scene = SessionScene(server, description, session.name, 0, alone=True)
+    tell(f"http://{HOST}:{server.get_port()}")
+    picture = 0.0
+    try:
+        while True:
+            bus.wait(1.0 / PICTURES)
+            now = time.monotonic()
+            if now >= picture:
+                picture = now + 1.0 / PICTURES
+                with server.atomic():
+                    scene.show(session.at())
+    finally:
+        _stop(server)

@@ -1,0 +1,69 @@
+"""Two short recorded trials with their planner's table, learned once."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_trials import METHOD, Recorded, Run
+
+from imolo.backend import Trial, TrialKind
+from imolo.cli import main
+from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.campaign import learning_tasks, run_tasks
+from imolo.experiment.learning import build_table, learn_ball, learn_motions
+from imolo.experiment.trial import run_trial
+from imolo.method.forward_model import ForwardModelConfig
+from imolo.method.planner import Planner
+from imolo.method.table import GridAxis, TableGrid
+
+# A fifth of the paper's predictions along each axis and twice its tolerances: as many queries are answered.
+GRID = TableGrid(
+    t_w=GridAxis(start=0.21, stop=0.41, step=0.01),
+    k=GridAxis(start=-1.0, stop=1.0, step=0.05),
+    time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.01),
+    spacing=0.02,
+    time_tolerance=0.02,
+    unique="all",
+)
+QUICK = ForwardModelConfig(parameters={"C": 100.0, "epsilon": 0.001, "gamma": 0.3}, inputs="standardized")
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    folder = tmp_path_factory.mktemp("recorded")
+    config = ExperimentConfig.model_validate(
+        {"backend": {"name": "mujoco"}, "simulation": {"timestep": 5e-4}, "campaign": {"learning_throws": 3}}
+    )
+    tasks = learning_tasks(config, folder / "learning")
+    run_tasks(tasks, jobs=1)
+    logs = {kind: [task.log_path for task in tasks if task.trial.kind is kind] for kind in TrialKind}
+    method = config.methods[METHOD].model_copy(update={"grid": GRID, "forward_model": QUICK})
+    ball_model = learn_ball(method, logs[TrialKind.THROW])
+    table = build_table(config, method, learn_motions(config, logs[TrialKind.TRAINING]), ball_model)
+    table.save(folder / "table.npz")
+    paths = []
+    for index in (0, 1):
+        planner = Planner(table, ball_model, method.planner, config.tracker)
+        paths.append(folder / f"hit_{index}.lcmlog")
+        run_trial(config, Trial(TrialKind.HIT, index, 1), planner, paths[-1], 0.9)
+    return Recorded(paths[0], paths[1], folder / "table.npz")
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Run `imolo` in this process and in an empty folder; returns exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "140")
+
+    def run_it(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["imolo", *map(str, arguments)])
+        try:
+            main()
+            code: object = 0
+        except SystemExit as ended:
+            code = ended.code or 0
+        captured = capsys.readouterr()
+        assert isinstance(code, int)
+        return code, captured.out, captured.err
+
+    return run_it

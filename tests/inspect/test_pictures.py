@@ -1,0 +1,205 @@
+"""Plots, the table of channels, and the view in the browser."""
+
+import base64
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import msgspec
+import pytest
+import zstandard
+from recorded_trials import Recorded, Run
+from requirements import needs
+
+from imolo import channels
+from imolo.backend import EventName
+from imolo.bus import Bus
+from imolo.inspect.fields import parse_selector, series
+from imolo.inspect.plot import draw_fields, short_names
+from imolo.inspect.statistics import ChannelStatistics, statistics_of
+from imolo.log import read_log
+from imolo.log_file import read_events
+from imolo.registry import describe_robot
+from imolo.view.sessions import LiveSession, recorded_sessions
+from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
+
+# Plots
+
+
+def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
+    logs = [read_log(recorded.first), read_log(recorded.second)]
+    selectors = [parse_selector("VALVE_PRESSURE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
+    pressures, theta = draw_fields(logs, selectors).axes
+    assert (len(pressures.lines), len(theta.lines)) == (6, 2)
+    assert (pressures.get_ylabel(), theta.get_ylabel(), theta.get_xlabel()) == ("[Pa]", "[s]", "time [s]")
+    expected = series(logs[1], selectors[1])
+    assert theta.lines[1].get_xydata().tolist() == [[t, v] for t, (v,) in zip(expected.time, expected.values)]  # type: ignore[union-attr] # noqa: B905
+
+
+def test_plot_writes_a_figure(recorded: Recorded, run: Run) -> None:
+    code, output, errors = run("plot", recorded.first, "MOCAP.frame_number", "--out", "plot.png")
+    assert (code, output, errors) == (0, "the figure is plot.png\n", "")
+    assert plt.imread("plot.png").std() > 0.0
+
+
+def test_plot_of_an_unknown_field_is_one_line(recorded: Recorded, run: Run) -> None:
+    code, _, errors = run("plot", recorded.first, "PLAN.thet", "--out", "plot.png")
+    assert (code, errors.count("\n"), "did you mean 'theta'?" in errors) == (2, 1, True)
+
+
+def test_figure_of_an_unknown_kind_is_one_line(recorded: Recorded, run: Run) -> None:
+    code, _, errors = run("plot", recorded.first, "PLAN.state", "--out", "plot.txt")
+    assert (code, errors.count("\n"), "cannot write the figure plot.txt" in errors) == (2, 1, True)
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["a/mujoco/hit/x.lcmlog", "a/dart/hit/x.lcmlog"], ["mujoco", "dart"]),
+        (["a/x_1.lcmlog", "a/x_2.lcmlog"], ["x_1", "x_2"]),
+        (["a/x.lcmlog"], ["x"]),
+        (["x.lcmlog", "x.lcmlog"], ["x", "x"]),
+    ],
+)
+def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names: list[str]) -> None:
+    assert short_names([Path(path) for path in paths]) == names
+
+
+# Channels
+
+
+def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> None:
+    found = {channel.channel: channel for channel in statistics_of(read_events(recorded.first)[0]).channels}
+    assert list(found) == list(channels.CHANNELS)
+    # Stamps are multiples of the 1 ms between two looks at the bus, over most of a second.
+    assert found["VALVE_PRESSURE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
+    assert found["TRUTH_ROBOT"].mean_rate == pytest.approx(240.0, rel=1e-2)
+    assert found["VALVE_PRESSURE"].missing == 0
+    assert found["BALL_STATE"].missing is None
+
+
+def test_gaps_in_the_numbers_are_counted_and_a_new_trial_is_none() -> None:
+    statistics = ChannelStatistics(channels.MOCAP)
+    for number in (1, 2, 5, 6, 1, 2, 4):
+        frame = mocap_frame_t()
+        frame.frame_number = number
+        statistics.add(frame.encode(), 0.01 * number)
+    assert (statistics.count, statistics.missing) == (7, 3)
+
+
+def test_messages_of_another_type_and_of_others_are_counted() -> None:
+    wrong, foreign = ChannelStatistics(channels.MOCAP), ChannelStatistics("CAMERA")
+    for statistics in (wrong, foreign):
+        statistics.add(trial_event_t().encode(), 0.0)
+    assert (wrong.undecoded, foreign.undecoded, wrong.count, foreign.count) == (1, 0, 1, 1)
+
+
+def test_jitter_is_the_spread_of_the_gaps() -> None:
+    statistics = ChannelStatistics("CAMERA")
+    for time in (0.0, 0.010, 0.030, 0.040, 0.060):
+        statistics.add(b"", time)
+    # Gaps of 10 and 20 ms in turn: 5 ms from their mean.
+    assert statistics.jitter == pytest.approx(0.005)
+    assert statistics.mean_rate == pytest.approx(4 / 0.060)
+
+
+@pytest.mark.parametrize("width", [80, 140])
+def test_top_shows_every_channel_of_a_log(
+    recorded: Recorded, run: Run, monkeypatch: pytest.MonkeyPatch, width: int
+) -> None:
+    monkeypatch.setattr("imolo.inspect.commands.console.width", width)
+    code, output, errors = run("top", recorded.first)
+    assert (code, errors) == (0, "")
+    assert all(re.search(rf"^ {name} ", output, flags=re.MULTILINE) for name in channels.CHANNELS)
+    assert ("mocap_frame_t" in output) == (width == 140)
+    assert max(map(len, output.splitlines())) <= width
+
+
+@pytest.mark.parametrize("mark", [pytest.param(None, marks=needs("netns"))], ids=["udpm"])
+def test_top_follows_a_bus(recorded: Recorded, mark: None) -> None:
+    """In a network namespace: the log is played while top looks on."""
+    imolo, player = (Path(sys.executable).with_name(name) for name in ("imolo", "lcm-logplayer"))
+    url = "udpm://239.255.76.67:7667?ttl=0"
+    script = (
+        "ip link set lo up; ip link set lo multicast on; ip route add 224.0.0.0/4 dev lo; "
+        f"({imolo} top --url '{url}' --seconds 6 > {recorded.first}.top) & top=$!; sleep 3; "
+        f"{player} --speed=1 --lcm-url='{url}' {recorded.first}; wait $top"
+    )
+    subprocess.run(
+        ["unshare", "--net", "sh", "-c", script], check=True, capture_output=True, timeout=60, env={"COLUMNS": "140"}
+    )
+    shown = Path(f"{recorded.first}.top").read_text()
+    for name, messages in read_log(recorded.first).messages.items():
+        assert re.search(rf"^ {name} +\w+_t +{len(messages)} ", shown, flags=re.MULTILINE), shown
+
+
+# View
+
+
+def decode_view(html: str) -> list[tuple[float, dict[str, object]]]:
+    """Return the timed messages of a viser page, as its player reads them."""
+    (data,) = re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', html)
+    packed = base64.b64decode(data)
+    inner = zstandard.ZstdDecompressor().decompressobj().decompress(packed[8:])
+    length = int.from_bytes(inner[:8], "little")
+    content = msgspec.msgpack.decode(inner[8 : 8 + length])
+    return [(time, message) for time, message in content["messages"]]
+
+
+@pytest.mark.filterwarnings("default")
+def test_page_plays_robot_ball_and_plan_of_every_log_without_a_network(
+    recorded: Recorded, run: Run, tmp_path: Path
+) -> None:
+    path = tmp_path / "view.html"
+    code, output, errors = run("view", recorded.first, recorded.second, "--html", path, "--speed", "1")
+    assert (code, output, errors) == (0, f"the view is {path}\n", "")
+    messages = decode_view(path.read_text())
+    duration = max(read_log(log).messages["TRIAL"][-1].utime for log in (recorded.first, recorded.second)) * 1e-6
+    assert messages[-1][0] == pytest.approx(duration, abs=0.05)
+    for number in (0, 1):
+        moved = {str(message.get("name")) for time, message in messages if time > 0.0}
+        root = f"/session_{number}"
+        assert {f"{root}/{part}" for part in ("robot", "ball", "markers", "prediction", "target")} <= moved
+        # The joints move as well.
+        assert any(name.startswith(f"{root}/robot/visual/") for name in moved)
+
+
+def test_recorded_session_shows_the_newest_messages_by_their_own_time(recorded: Recorded) -> None:
+    (session,) = recorded_sessions([read_log(recorded.first)], ["x"])
+    moment = session.at(0.3)
+    assert all(0.29 < moment[name].utime * 1e-6 <= 0.3 for name in ("TRUTH_ROBOT", "TRUTH_BALL", "MOCAP", "PLAN"))
+    assert set(session.at(0.0)) == {"TRIAL"}
+
+
+def test_live_session_shows_what_came_last() -> None:
+    bus = Bus()
+    session = LiveSession(bus)
+    for utime in (1, 2):
+        truth = truth_robot_t()
+        truth.utime = utime
+        bus.publish(channels.TRUTH_ROBOT, truth)
+    bus.drain()
+    assert session.at()["TRUTH_ROBOT"].utime == 2
+    assert "MOCAP" not in session.at()
+    start = trial_event_t()
+    start.event, start.robot = EventName.START, "liberobot"
+    bus.publish(channels.TRIAL, start)
+    bus.drain()
+    assert set(session.at()) == {"TRIAL"}
+    assert session.robot == "liberobot"
+
+
+def test_backend_tells_what_its_robot_looks_like() -> None:
+    robot = describe_robot("liberobot")
+    assert robot is not None
+    assert robot.urdf.is_file()
+    assert len(robot.joint_names) == len(truth_robot_t().joint_angle)
+    assert describe_robot("atlas") is None
+
+
+@pytest.mark.parametrize("arguments", [["--html", "x.html"], ["gone.lcmlog"]])
+def test_view_of_nothing_is_one_line(run: Run, arguments: list[str]) -> None:
+    code, _, errors = run("view", *arguments)
+    assert (code, errors.count("\n")) == (2, 1)
