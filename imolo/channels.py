@@ -13,6 +13,11 @@ PLAN = "PLAN"
 TRIAL = "TRIAL"
 TRUTH_ROBOT = "TRUTH_ROBOT"
 TRUTH_BALL = "TRUTH_BALL"
+HEARTBEAT = "HEARTBEAT"
+STEP_REQUEST = "STEP_REQUEST"
+STEP_ANSWER = "STEP_ANSWER"
+THROW_REQUEST = "THROW_REQUEST"
+THROW_REPORT = "THROW_REPORT"
 
 
 @dataclass(frozen=True)
@@ -43,5 +48,10 @@ CHANNELS: dict[str, Channel] = {
         Channel(TRIAL, imolo_msgs.trial_event_t, "events", "runner, backend"),
         Channel(TRUTH_ROBOT, imolo_msgs.truth_robot_t, "240 Hz (config)", "simulated backend"),
         Channel(TRUTH_BALL, imolo_msgs.truth_ball_t, "240 Hz (config)", "simulated backend"),
+        Channel(HEARTBEAT, imolo_msgs.heartbeat_t, "10 Hz", "every program of a session"),
+        Channel(STEP_REQUEST, imolo_msgs.step_request_t, "every frame in lock-step, every start of a trial", "backend"),
+        Channel(STEP_ANSWER, imolo_msgs.step_answer_t, "every step_request_t", "planner"),
+        Channel(THROW_REQUEST, imolo_msgs.throw_request_t, "until reported", "imolo throw"),
+        Channel(THROW_REPORT, imolo_msgs.throw_report_t, "events", "backend"),
     )
 }
