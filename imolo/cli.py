@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from imolo.errors import BackendNotFoundError, ConfigError, ImoloError, did_you_mean
+from imolo.live import commands
 
 # The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
 if TYPE_CHECKING:
@@ -130,6 +131,9 @@ def hit(
     folder.save_json("summary.json", results[name][method])
     console.print(summary.render_results(results, timing))
     console.print(f"logs, config and summary.json are in {out}")
+
+
+commands.add_to(app)
 
 
 class _Bars:
