@@ -1,0 +1,60 @@
+"""A network namespace of the test's own: loopback with a multicast route, and nothing that can leave the machine."""
+
+import contextlib
+import ctypes
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+
+URL = "udpm://239.255.76.67:7667?ttl=0"
+CLONE_NEWNET = 0x40000000
+
+
+def need_root() -> None:
+    """Skip a test that cannot make a namespace, or fail it where IMOLO_REQUIRE says that it must run."""
+    missing = "root" if os.geteuid() != 0 else "the program ip (iproute2)" if shutil.which("ip") is None else ""
+    if not missing:
+        return
+    reason = f"network namespaces need {missing}"
+    if "root" in os.environ.get("IMOLO_REQUIRE", "").replace(",", " ").split():
+        pytest.fail(f"{reason}, and IMOLO_REQUIRE asks for them")
+    pytest.skip(reason)
+
+
+@contextlib.contextmanager
+def namespace(name: str, *, route: bool = True, multicast: bool = True) -> Iterator[None]:
+    """Put this thread, and all processes that it starts, into a new namespace."""
+    need_root()
+    ip("netns", "add", name)
+    outside = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
+    try:
+        inside = os.open(f"/run/netns/{name}", os.O_RDONLY)
+        try:
+            enter(inside)
+        finally:
+            os.close(inside)
+        try:
+            ip("link", "set", "lo", "up")
+            if multicast:
+                ip("link", "set", "lo", "multicast", "on")
+            if route:
+                ip("route", "add", "224.0.0.0/4", "dev", "lo")
+            yield
+        finally:
+            enter(outside)
+    finally:
+        os.close(outside)
+        ip("netns", "del", name)
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=10)
+
+
+def enter(descriptor: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.setns(descriptor, CLONE_NEWNET) != 0:
+        raise OSError(ctypes.get_errno(), "setns failed")
