@@ -10,16 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imolo import channels
-from imolo.backend import Trial, TrialKind
+from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import BackendError, ResultsError, TrialVoidError
+from imolo.errors import BackendError, BusError, ResultsError, TrialVoidError
 from imolo.experiment.campaign import log_name
 from imolo.experiment.trial import Bystander, run_trial
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.remote_planner import LockstepPlanner, RealtimePlanner
+from imolo.log import read_log
 from imolo_msgs import throw_report_t, throw_request_t
 
 WARM_UP = 0.02  # [s] of a trial in which everything is loaded and compiled
@@ -176,9 +177,22 @@ def run_backend(
 
 
 def _next_index(folder: Path) -> int:
-    """Return the index of the first ball after those that the folder holds, so that a restart continues."""
-    indices = [int(path.stem.rpartition("_")[2]) for path in folder.glob(f"{TrialKind.HIT.value}_*.lcmlog")]
-    return max(indices, default=-1) + 1
+    """Return the index of the first ball after those that the folder holds, so that a restart continues.
+
+    A log without an end is of a backend that was killed: it is set aside, and its ball thrown again.
+    """
+    logs = sorted(folder.glob(f"{TrialKind.HIT.value}_*.lcmlog"))
+    if logs and not _is_whole(logs[-1]):
+        _set_aside(logs.pop())
+    return int(logs[-1].stem.rpartition("_")[2]) + 1 if logs else 0
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        events = read_log(path).messages[channels.TRIAL]
+    except BusError:
+        return False
+    return any(event.event == EventName.END for event in events)
 
 
 def _set_aside(path: Path) -> Path:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 GIVE_UP = 0.1  # [s] behind from which lost time is not made up for: a session goes on from now
+RESOLUTION = 1e-6  # [s] of the messages
 
 
 class Pace:
@@ -42,7 +43,7 @@ class Pace:
             self._begin = self._now() - utime * 1e-6
         late = self.lateness(utime)
         self.slices += 1
-        if late > 0.0:
+        if late > RESOLUTION:
             self.overruns += 1
             self.worst = max(self.worst, late)
             if late > GIVE_UP:
@@ -50,5 +51,5 @@ class Pace:
                 self.lost += late
         # Once at least, so that a backend that is behind still hears.
         self._wait(max(-late, 0.0))
-        while (left := -self.lateness(utime)) > 0.0:
+        while (left := -self.lateness(utime)) > RESOLUTION:
             self._wait(left)

@@ -2,14 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
+from typing import TYPE_CHECKING
 
 import imolo_msgs
-from imolo.config.experiment import ExperimentConfig
-from imolo.method.motion import MotionTemplate
+
+# Recorder and operator need neither, and scikit-learn behind them takes seconds.
+if TYPE_CHECKING:
+    from imolo.config.experiment import ExperimentConfig
+    from imolo.method.motion import MotionTemplate
 
 # What surrounds the robot is the backend's business alone, and so is which backend it is.
 SHARED_SECTIONS = ("motion", "robot", "tracker", "training", "ball_model", "methods")
@@ -45,7 +48,7 @@ class Identity:
     role: Role
     robot: str = ""
     clock: str = ""
-    sections: Mapping[str, str] = field(default_factory=dict)
+    sections: dict[str, str] = field(default_factory=dict)
 
 
 @cache
@@ -60,7 +63,7 @@ def protocol() -> int:
     return int.from_bytes(hashlib.sha256(content).digest()[:8], "big", signed=True)
 
 
-def shared_sections(config: ExperimentConfig, template: MotionTemplate | None = None) -> dict[str, str]:
+def shared_sections(config: "ExperimentConfig", template: "MotionTemplate | None" = None) -> dict[str, str]:
     """Return a short hash of each section of the config that backend and planner must share.
 
     Args:
@@ -86,7 +89,8 @@ def mismatch(own: Identity, other: Identity, other_protocol: int) -> str:
         return (
             f"it is for robot {other.robot!r}, this one for {own.robot!r}; give a table that was learned on the robot"
         )
-    different = [name for name, digest in own.sections.items() if other.sections.get(name) != digest]
+    names = own.sections | other.sections
+    different = [name for name in names if own.sections.get(name) != other.sections.get(name)]
     if different:
         return f"its config differs in {', '.join(different)}; start both with the same config"
     return ""
