@@ -97,6 +97,8 @@ class BackendProgram:
         try:
             with self._trial():
                 run_trial(self._config, trial, self._planner, path, self._config.campaign.duration, self._after_slice)
+                if self._planner.lost:
+                    raise TrialVoidError(self._planner.lost)
         except TrialVoidError as void:
             kept = _set_aside(path)
             repeated = "" if self._stop else ", to be repeated"

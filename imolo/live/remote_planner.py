@@ -26,6 +26,7 @@ from imolo.method.motion import NUM_VALVES, Commands
 from imolo_msgs import trial_event_t, valve_command_t
 
 PLANNER_SAYS = (channels.VALVE_COMMAND, channels.BALL_STATE, channels.PLAN)
+UNANSWERED = 0.2  # [s] without an answer to any frame until a robot is vented, assumed: 24 frames
 VENTED = 0.3  # [s] that a trial goes on without its planner, so that its log shows the pressures fall
 _UTIME = struct.Struct(">8xq")  # behind the fingerprint
 
@@ -38,6 +39,7 @@ class RemotePlanner:
         latency: From a frame to its answer.
         frames: Number of frames so far.
         outcome: How the ball of this trial ended; empty as long as it flies.
+        lost: How this trial lost its planner and went on without; empty where it did not.
     """
 
     paced = False
@@ -46,7 +48,7 @@ class RemotePlanner:
         """Join the network; `begin` and `attach` follow for every trial."""
         self.streams, self.latency = Streams(), Latency()
         self.frames = 0
-        self.outcome = ""
+        self.outcome = self.lost = ""
         self._bus, self._node, self._stop, self._console = bus, node, stop, console
         self._asker = Asker(bus, node.instance, self._watch)
         self._inside: Bus | None = None
@@ -63,7 +65,7 @@ class RemotePlanner:
         if planner is None:
             raise TrialVoidError("there is no planner")
         self._planner = planner.instance
-        self._void = self.outcome = ""
+        self._void = self.outcome = self.lost = ""
         self.streams.begin_trial()
 
     def attach(self, bus: Bus) -> None:
@@ -179,6 +181,7 @@ class RealtimePlanner(RemotePlanner):
         self._utime = 0
         self._vented: int | None = None
         self._command = b""
+        self._answered = 0.0
         self._sent: dict[int, float] = {}
         bus.subscribe_newest(channels.VALVE_COMMAND, self._on_command, self._count_skipped)
         for channel in (channels.BALL_STATE, channels.PLAN):
@@ -193,6 +196,8 @@ class RealtimePlanner(RemotePlanner):
 
     def after_slice(self, utime: int) -> None:
         """Wait for the clock on the wall, and hear the network meanwhile."""
+        self.pace.hold(utime)
+        self._utime = utime
         self._node.tend()
         if self._stop:
             self._give_up("stopped by the user")
@@ -201,9 +206,13 @@ class RealtimePlanner(RemotePlanner):
             if lost:
                 self._vent(utime, lost)
         elif utime >= self._vented + round(VENTED * 1e6):
-            self._give_up(self._lost)
-        self.pace.hold(utime)
-        self._utime = utime
+            self._give_up(self.lost)
+
+    def _planner_lost(self) -> str:
+        silence = time.perf_counter() - self._answered
+        if self._sent and silence > UNANSWERED:
+            return f"the planner has not answered a frame for {silence:.1f} s"
+        return super()._planner_lost()
 
     def describe(self) -> str:
         """Return how many slices and frames were late."""
@@ -223,10 +232,13 @@ class RealtimePlanner(RemotePlanner):
         elif channel == channels.MOCAP:
             self.frames += 1
             self.late_frames += self.pace.lateness(self._utime + SLICE) > 0.0
-            self._sent[_UTIME.unpack_from(data)[0]] = time.perf_counter()
+            now = time.perf_counter()
+            self._answered = self._answered if self._sent else now
+            self._sent[_UTIME.unpack_from(data)[0]] = now
 
     def _on_reason(self, channel: str, data: bytes) -> None:
         if self._inside is not None and self._answers_a_frame(data):
+            self._answered = time.perf_counter()
             self.streams.count(channel, data)
             self._inside.publish_raw(channel, data)
 
@@ -251,7 +263,7 @@ class RealtimePlanner(RemotePlanner):
 
     def _vent(self, utime: int, lost: str) -> None:
         """Let the air out of a robot in motion; one at rest stays at rest."""
-        self._vented, self._lost = utime, lost
+        self._vented, self.lost = utime, lost
         if not self._command or self._inside is None:
             self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
             return

@@ -64,7 +64,7 @@ class Session:
 
         def turn() -> None:
             self._look_after_programs()
-            # The recorder first: nothing happens that is not in its log.
+            # Nothing is thrown that is not in the log.
             if self._node.peer(Role.RECORDER) and self._node.peer(Role.PLANNER):
                 request.turn()
             self._console.status(lambda: f"{request.left} of {count} balls left")
@@ -75,7 +75,7 @@ class Session:
         return request.left
 
     def close(self) -> None:
-        """Stop all programs, the recorder last, so that its log holds the end of the others."""
+        """Stop all programs, the last started first, so that the recorder hears the end of the others."""
         for program in reversed(self._programs):
             if program.process.poll() is None:
                 program.process.send_signal(signal.SIGTERM)
@@ -120,8 +120,8 @@ def run_session(
     session = Session(url, console)
     try:
         session.add("record", "--out", folder / "session.lcmlog", "--bus", url)
-        session.add("backend", config_path, "--clock", clock.value, "--out", folder, "--bus", url)
         session.add("planner", config_path, "--table", table_path, "--method", method, "--bus", url)
+        session.add("backend", config_path, "--clock", clock.value, "--out", folder, "--bus", url)
         return session.throw(count, stop)
     finally:
         session.close()

@@ -1,5 +1,6 @@
 """A table that was learned once, and a network of its own for every module that asks for it."""
 
+import fcntl
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,10 +44,21 @@ class Learned:
 
 @pytest.fixture(scope="session")
 def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
-    folder = tmp_path_factory.mktemp("learned")
+    # Once for all workers of pytest-xdist, whose folders are below one.
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "learned"
+    folder.mkdir(exist_ok=True)
     config_path, table_path = folder / "coarse.yaml", folder / "table.npz"
-    config_path.write_text(COARSE, encoding="utf-8")
-    config = load_config(config_path)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        config_path.write_text(COARSE, encoding="utf-8")
+        config = load_config(config_path)
+        if not table_path.exists():
+            learn(config, folder, table_path)
+    return Learned(config_path, table_path, config)
+
+
+def learn(config: ExperimentConfig, folder: Path, table_path: Path) -> None:
     tasks = learning_tasks(config, folder)
     run_tasks(tasks, jobs=1)
     by_kind = {kind: [task.log_path for task in tasks if task.trial.kind is kind] for kind in TrialKind}
@@ -54,7 +66,6 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
     data = learn_motions(config, by_kind[TrialKind.TRAINING])
     method = config.methods["paper"].model_copy(update={"grid": GRID, "forward_model": QUICK})
     build_table(config, method, data, ball_model).save(table_path)
-    return Learned(config_path, table_path, config)
 
 
 @pytest.fixture

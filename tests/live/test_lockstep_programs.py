@@ -42,12 +42,13 @@ def assert_same_bytes(
     return frames
 
 
+@pytest.mark.slow
 def test_network_gives_the_bytes_of_one_process(learned: Learned, tmp_path: Path) -> None:
     assert assert_same_bytes(learned, tmp_path, 2, (None, None)) > 100
 
 
 def test_bad_network_gives_the_bytes_of_one_process(learned: Learned, tmp_path: Path) -> None:
-    assert assert_same_bytes(learned, tmp_path, 3, ((1, CHAOS), (2, CHAOS))) > 200
+    assert assert_same_bytes(learned, tmp_path, 2, ((1, CHAOS), (2, CHAOS))) > 150
 
 
 @pytest.mark.slow
