@@ -4,6 +4,7 @@ Every request carries one message of the backend, every answer all that the plan
 network loses, doubles, delays or reorders is repaired by sending one datagram again, and changes nothing else.
 """
 
+import struct
 import time
 from collections.abc import Callable, Sequence
 
@@ -83,7 +84,10 @@ class Asker:
             patience = min(2.0 * patience, LAST_RESEND)
 
     def _on_answer(self, _: str, data: bytes) -> None:
-        answer = step_answer_t.decode(data)
+        try:
+            answer = step_answer_t.decode(data)
+        except (ValueError, struct.error):
+            return  # of another version; its heartbeat says so
         if (answer.answered_backend, answer.answered_step) == (self._instance, self._number):
             self._answer = answer
 

@@ -40,7 +40,7 @@ class PlannerProgram:
         self._node = Node(bus, identity, console.say)
         self._answerer = Answerer(self._node.instance, self._answer)
         self._streams, self._latency = Streams(), Latency()
-        self._skipped = 0
+        self._skipped = self._unreadable = 0
         self._paced = False
         self._inside = Bus()
         self._said: list[Said] = []
@@ -69,6 +69,7 @@ class PlannerProgram:
 
     def _status(self) -> str:
         skipped = f", {self._skipped} skipped" if self._skipped else ""
+        skipped += f", {self._unreadable} unreadable" if self._unreadable else ""
         repeated = f", {self._answerer.repeated} answers repeated" if self._answerer.repeated else ""
         return (
             f"{self._node.activity} | {self._streams.describe(channels.MOCAP)}{skipped}{repeated} | "
@@ -102,9 +103,15 @@ class PlannerProgram:
             self._tell(channel, data)
 
     def _on_frame(self, channel: str, data: bytes) -> None:
-        if self._paced and self._from_our_backend():
-            for said in self._tell(channel, data):
-                self._bus.publish_raw(*said)
+        if not (self._paced and self._from_our_backend()):
+            return
+        try:
+            answer = self._tell(channel, data)
+        except (ValueError, struct.error):
+            self._unreadable += 1
+            return
+        for said in answer:
+            self._bus.publish_raw(*said)
 
     def _skip(self, data: bytes) -> None:
         if self._paced:

@@ -14,6 +14,7 @@ import numpy as np
 from imolo import channels
 from imolo.backend import EventName
 from imolo.bus import Bus
+from imolo.channels import CHANNELS
 from imolo.errors import TrialVoidError
 from imolo.experiment.trial import SLICE
 from imolo.live.clock import Pace
@@ -168,7 +169,7 @@ class RealtimePlanner(RemotePlanner):
     Attributes:
         pace: How well the backend keeps up.
         late_frames: Number of frames that were sent after their time.
-        ignored: Number of commands that answer no frame of their trial.
+        ignored: Number of commands that answer no frame of their trial, or cannot be read.
     """
 
     paced = True
@@ -221,6 +222,7 @@ class RealtimePlanner(RemotePlanner):
             f"real time, late {self.late_frames}/{self.frames} frames, {pace.overruns}/{pace.slices} slices "
             f"(worst {1e3 * pace.worst:.1f} ms)"
         )
+        text += f", {self.ignored} commands refused" if self.ignored else ""
         return text + (f", {pace.lost:.1f} s lost" if pace.lost else "")
 
     def _relay(self, channel: str, data: bytes) -> None:
@@ -237,7 +239,7 @@ class RealtimePlanner(RemotePlanner):
             self._sent[_UTIME.unpack_from(data)[0]] = now
 
     def _on_reason(self, channel: str, data: bytes) -> None:
-        if self._inside is not None and self._answers_a_frame(data):
+        if self._inside is not None and self._answers_a_frame(channel, data):
             self._answered = time.perf_counter()
             self.streams.count(channel, data)
             self._inside.publish_raw(channel, data)
@@ -246,7 +248,7 @@ class RealtimePlanner(RemotePlanner):
         now = time.perf_counter()
         if self._inside is None or self._vented is not None:
             return
-        if not self._answers_a_frame(data):
+        if not self._answers_a_frame(channel, data):
             self.ignored += 1
             return
         self.streams.count(channel, data)
@@ -257,9 +259,12 @@ class RealtimePlanner(RemotePlanner):
     def _count_skipped(self, data: bytes) -> None:
         self.streams.count(channels.VALVE_COMMAND, data)
 
-    def _answers_a_frame(self, data: bytes) -> bool:
-        """Return whether a message belongs to this trial: every trial begins at 0 again."""
-        return len(data) >= _UTIME.size and _UTIME.unpack_from(data)[0] in self._sent
+    def _answers_a_frame(self, channel: str, data: bytes) -> bool:
+        """Return whether a message can be read and belongs to this trial: every trial begins at 0 again."""
+        try:
+            return CHANNELS[channel].message_type.decode(data).utime in self._sent
+        except (ValueError, struct.error):
+            return False
 
     def _vent(self, utime: int, lost: str) -> None:
         """Let the air out of a robot in motion; one at rest stays at rest."""
