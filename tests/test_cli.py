@@ -19,7 +19,7 @@ from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
 BACKENDS = ("dart", "mujoco", "pybullet")
-COMMANDS = ("backends", "compare", "learn", "hit")
+COMMANDS = ("backends", "compare", "learn", "hit", "backend", "planner", "record", "throw", "up")
 GOOD = "backend: {name: mujoco}\n"
 
 Run = Callable[..., tuple[int, str, str]]
