@@ -45,10 +45,15 @@ def run(folder: Path, table_path: Path, method: str) -> list[Measurement]:
         said = _session(inside, config, table_path, method, out)
     latency = _latencies(out / "session.lcmlog")
     median, p99 = np.percentile(1e3 * latency, (50.0, 99.0)).tolist()
-    counts = re.search(r"backend: stopped.*late (\d+)/(\d+) frames, (\d+)/(\d+) slices \(worst ([\d.]+) ms\)", said)
+    counts = re.search(
+        r"backend: stopped.*late (\d+)/(\d+) frames, "
+        r"(\d+)/(\d+) slices \(worst ([\d.]+) ms\), (\d+) heavy, busy (\d+) %",
+        said,
+    )
     if counts is None:
         raise RuntimeError(f"the backend did not say how it kept its pace:\n{said}")
     late_frames, frames, late_slices, slices = (int(counts[number]) for number in range(1, 5))
+    heavy, busy = int(counts[6]), int(counts[7])
     load = os.getloadavg()[0]
     subject = "live, two processes"
     return [
@@ -57,6 +62,8 @@ def run(folder: Path, table_path: Path, method: str) -> list[Measurement]:
         Measurement(subject, f"late frames of {frames}, MuJoCo, one core", 100.0 * late_frames / frames, "%", LATE),
         Measurement(subject, f"late slices of {slices}", 100.0 * late_slices / slices, "%"),
         Measurement(subject, "worst delay of a slice", float(counts[5]), "ms"),
+        Measurement(subject, "slices that it computed longer than they last", 100.0 * heavy / slices, "%"),
+        Measurement(subject, "share of the core that it computes", float(busy), "%"),
         Measurement(subject, f"load of {os.cpu_count()} cores meanwhile", load, ""),
     ]
 

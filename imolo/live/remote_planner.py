@@ -220,7 +220,8 @@ class RealtimePlanner(RemotePlanner):
         pace = self.pace
         text = (
             f"real time, late {self.late_frames}/{self.frames} frames, {pace.overruns}/{pace.slices} slices "
-            f"(worst {1e3 * pace.worst:.1f} ms)"
+            f"(worst {1e3 * pace.worst:.1f} ms), {pace.heavy} heavy, "
+            f"busy {100.0 * pace.computed / max(pace.played, 1e-3):.0f} %"
         )
         text += f", {self.ignored} commands refused" if self.ignored else ""
         return text + (f", {pace.lost:.1f} s lost" if pace.lost else "")

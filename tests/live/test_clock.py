@@ -54,6 +54,19 @@ def test_backend_that_is_behind_still_hears_the_network() -> None:
     assert len(clock.waits) == 50
 
 
+def test_work_of_our_own_is_told_from_the_work_of_others() -> None:
+    clock, computed = Clock(), 0.0
+    pace = Pace(clock.wait, clock, lambda: computed)
+    for number, (work, others) in enumerate([(0.0, 0.0), (0.0004, 0.003), (0.0015, 0.0), (0.0002, 0.0)], start=1):
+        computed += work
+        clock.time += work + others
+        pace.hold(number * SLICE)
+    assert pace.heavy == 1
+    assert pace.computed == pytest.approx(0.0021)
+    assert pace.played == pytest.approx(3e-3)
+    assert pace.overruns == 3
+
+
 def test_long_stall_is_told_and_not_made_up_for() -> None:
     clock = Clock()
     pace = Pace(clock.wait, clock)
