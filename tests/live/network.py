@@ -25,36 +25,29 @@ def need_root() -> None:
 
 
 @contextlib.contextmanager
-def namespace(name: str, *, route: bool = True, multicast: bool = True) -> Iterator[None]:
-    """Put this thread, and all processes that it starts, into a new namespace."""
+def namespace(*, route: bool = True) -> Iterator[None]:
+    """Put this thread, and all processes that it starts, into a new namespace, which ends with the last of them."""
     need_root()
-    ip("netns", "add", name)
     outside = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
     try:
-        inside = os.open(f"/run/netns/{name}", os.O_RDONLY)
-        try:
-            enter(inside)
-        finally:
-            os.close(inside)
+        call("unshare", CLONE_NEWNET)
         try:
             ip("link", "set", "lo", "up")
-            if multicast:
-                ip("link", "set", "lo", "multicast", "on")
+            ip("link", "set", "lo", "multicast", "on")
             if route:
                 ip("route", "add", "224.0.0.0/4", "dev", "lo")
             yield
         finally:
-            enter(outside)
+            call("setns", outside, CLONE_NEWNET)
     finally:
         os.close(outside)
-        ip("netns", "del", name)
 
 
 def ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=10)
 
 
-def enter(descriptor: int) -> None:
+def call(name: str, *arguments: int) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.setns(descriptor, CLONE_NEWNET) != 0:
-        raise OSError(ctypes.get_errno(), "setns failed")
+    if getattr(libc, name)(*arguments) != 0:
+        raise OSError(ctypes.get_errno(), f"{name} failed")

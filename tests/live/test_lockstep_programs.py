@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from conftest import Learned
+from live_table import Learned
 from programs import lab
 
 from imolo import channels

@@ -46,7 +46,7 @@ def test_wrong_url_names_the_value_and_what_is_right(url: str, parts: tuple[str,
 
 def test_missing_route_is_told_with_the_recipe() -> None:
     with (
-        namespace(f"imolo-{time.monotonic_ns()}", route=False),
+        namespace(route=False),
         pytest.raises(BusError, match=r"no multicast route .*unreachable.*ip route add 224\.0\.0\.0/4 dev lo"),
     ):
         Bus(URL)
@@ -124,7 +124,7 @@ def test_newest_wins_on_every_bus() -> None:
 )
 def test_bus_that_cannot_be_opened_ends_a_program_in_one_line(tmp_path: Path, arguments: tuple[str, ...]) -> None:
     (tmp_path / "config.yaml").write_text("backend: {name: mujoco}\n", encoding="utf-8")
-    with namespace(f"imolo-{time.monotonic_ns()}", route=False):
+    with namespace(route=False):
         ended = subprocess.run(
             [sys.executable, "-m", "imolo.cli", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60
         )

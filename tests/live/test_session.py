@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Learned
+from live_table import Learned
 from network import URL
 from programs import Lab, lab
 
@@ -126,6 +126,90 @@ def test_session_of_one_command_stops_cleanly(realtime: Lab, number: signal.Sign
     ends = [event for event in read_log(realtime.session_log).messages[channels.TRIAL] if event.event == EventName.END]
     assert ends[-1].detail.endswith("void: stopped by the user")
     assert read_log(realtime.log(0)).messages[channels.PLAN]
+
+
+@pytest.mark.slow
+def test_programs_of_a_killed_session_end_by_themselves(lockstep: Lab) -> None:
+    up = lockstep.start(
+        "up",
+        lockstep.config,
+        "--table",
+        lockstep.table,
+        "--throws",
+        MANY,
+        "--clock",
+        "lockstep",
+        "--out",
+        lockstep.folder,
+        "--bus",
+        URL,
+    )
+    up.wait_for(r"up: ball 0: ")
+    # Its programs keep the pipe open, so what they say is still heard.
+    up.process.kill()
+    for _ in range(3):
+        up.wait_for("imolo (planner|backend|record): stopped")
+    assert {line.split(":")[0] for line in up.lines if ": stopped" in line} == {
+        "imolo planner",
+        "imolo backend",
+        "imolo record",
+    }
+
+
+@pytest.mark.slow
+def test_nonsense_on_the_bus_moves_nothing_and_stops_nobody(realtime: Lab) -> None:
+    bus = Bus(URL)
+    backend, planner = realtime.backend(), realtime.planner()
+    throw = realtime.throw(1)
+    wait_for_event(bus, EventName.START)
+    for channel in CHANNELS:
+        bus.publish_raw(channel, b"nonsense")
+        bus.publish_raw(channel, bytes(200))
+    backend.wait_for(r"ball 0: (hit|ball_landed)")
+    assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
+    assert read_log(realtime.log(0)).messages[channels.VALVE_COMMAND]
+
+
+@pytest.mark.slow
+def test_programs_of_a_killed_session_end_by_themselves(lockstep: Lab) -> None:
+    up = lockstep.start(
+        "up",
+        lockstep.config,
+        "--table",
+        lockstep.table,
+        "--throws",
+        MANY,
+        "--clock",
+        "lockstep",
+        "--out",
+        lockstep.folder,
+        "--bus",
+        URL,
+    )
+    up.wait_for(r"up: ball 0: ")
+    # Its programs keep the pipe open, so what they say is still heard.
+    up.process.kill()
+    for _ in range(3):
+        up.wait_for("imolo (planner|backend|record): stopped")
+    assert {line.split(":")[0] for line in up.lines if ": stopped" in line} == {
+        "imolo planner",
+        "imolo backend",
+        "imolo record",
+    }
+
+
+@pytest.mark.slow
+def test_nonsense_on_the_bus_moves_nothing_and_stops_nobody(realtime: Lab) -> None:
+    bus = Bus(URL)
+    backend, planner = realtime.backend(), realtime.planner()
+    throw = realtime.throw(1)
+    wait_for_event(bus, EventName.START)
+    for channel in CHANNELS:
+        bus.publish_raw(channel, b"nonsense")
+        bus.publish_raw(channel, bytes(200))
+    backend.wait_for(r"ball 0: (hit|ball_landed)")
+    assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
+    assert read_log(realtime.log(0)).messages[channels.VALVE_COMMAND]
 
 
 @pytest.mark.slow
