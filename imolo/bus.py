@@ -47,7 +47,7 @@ class Bus:
             data = message.encode()
         except (struct.error, TypeError, IndexError) as error:
             raise BusError(f"a message for {channel} cannot be encoded: {error}") from error
-        self._lcm.publish(channel, data)
+        self.publish_raw(channel, data)
 
     def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every decoded message of a channel, from within `drain`.

@@ -3,7 +3,7 @@
 import gc
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,27 @@ from imolo.method.table import Executed, LookupTable
 from imolo_msgs import step_request_t
 
 
+class _Inside(Bus):
+    """The planner's own bus, without a queue: what it is told it hears, and what it says is heard, at once."""
+
+    def __init__(self, hear: Callable[[str, bytes], None]) -> None:
+        """Hand everything that is published to `hear`."""
+        self._hear = hear
+        self._handlers: dict[str, list[Callable[[str, bytes], None]]] = {}
+
+    def publish_raw(self, channel: str, data: bytes) -> None:
+        """Hand a message over."""
+        self._hear(channel, data)
+
+    def tell(self, channel: str, data: bytes) -> None:
+        """Let the planner hear a message."""
+        for handler in self._handlers.get(channel, ()):
+            handler(channel, data)
+
+    def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
+        self._handlers.setdefault(channel, []).append(handler)
+
+
 class PlannerProgram:
     """Hosts a planner on a bus of its own and carries messages between that and the network."""
 
@@ -42,10 +63,9 @@ class PlannerProgram:
         self._streams, self._latency = Streams(), Latency()
         self._skipped = self._unreadable = 0
         self._paced = False
-        self._inside = Bus()
         self._said: list[Said] = []
+        self._inside = _Inside(self._hear)
         controller.attach(self._inside)
-        self._inside.subscribe_raw(lambda channel, data: self._said.append((channel, data)))
         bus.subscribe_raw(self._on_request, channels.STEP_REQUEST)
         bus.subscribe_raw(self._on_event, channels.TRIAL)
         bus.subscribe_newest(channels.MOCAP, self._on_frame, self._skip)
@@ -113,22 +133,27 @@ class PlannerProgram:
         for said in answer:
             self._bus.publish_raw(*said)
 
+    def _hear(self, channel: str, data: bytes) -> None:
+        if self._paced and channel == channels.VALVE_COMMAND:
+            # Before its reasons, and before those who hear them are awake and in its way.
+            self._bus.publish_raw(channel, data)
+        else:
+            self._said.append((channel, data))
+
     def _skip(self, data: bytes) -> None:
         if self._paced:
             self._skipped += 1
             self._streams.count(channels.MOCAP, data)
 
     def _tell(self, channel: str, data: bytes) -> Sequence[Said]:
-        """Tell the planner and return what it says."""
+        """Tell the planner and return what it says, but for what has been sent already."""
         begin = time.perf_counter()
         self._streams.count(channel, data)
         self._said.clear()
-        self._inside.publish_raw(channel, data)
-        self._inside.drain()
+        self._inside.tell(channel, data)
         if channel == channels.MOCAP:
             self._latency.add(time.perf_counter() - begin)
-        # The first is what it was told.
-        return tuple(self._said[1:])
+        return tuple(self._said)
 
 
 def run_planner(
