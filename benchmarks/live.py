@@ -35,8 +35,10 @@ def obstacle() -> str:
 def run(folder: Path, table_path: Path, method: str) -> list[Measurement]:
     """Throw balls in real time, the backend on one core, in a namespace made for it.
 
-    Latency is from the log of the recorder: the time at which it heard a command less that at which it heard the frame
-    that the command answers.
+    Latency is taken twice. From the log of the recorder it is the time at which it heard a command less that at which
+    it heard the frame that the command answers; a recorder that has to wait for a core hears both at once, so that this
+    may be too short. The backend's own, from sending the frame to having the command, can only be too long: it is the
+    one that must meet the target.
     """
     config = folder / "live.yaml"
     config.write_text(yaml.safe_dump({"backend": {"name": "mujoco"}, "simulation": {"timestep": TIMESTEP}}))
@@ -50,15 +52,18 @@ def run(folder: Path, table_path: Path, method: str) -> list[Measurement]:
         r"(\d+)/(\d+) slices \(worst ([\d.]+) ms\), (\d+) heavy, busy (\d+) %",
         said,
     )
-    if counts is None:
+    own = re.search(r"backend: stopped.*frame to command ([\d.]+) ms median, ([\d.]+) ms p99", said)
+    if counts is None or own is None:
         raise RuntimeError(f"the backend did not say how it kept its pace:\n{said}")
     late_frames, frames, late_slices, slices = (int(counts[number]) for number in range(1, 5))
     heavy, busy = int(counts[6]), int(counts[7])
     load = os.getloadavg()[0]
     subject = "live, two processes"
     return [
-        Measurement(subject, f"frame to command, median of {len(latency)}", median, "ms", MEDIAN),
-        Measurement(subject, "frame to command, 99th percentile", p99, "ms", P99),
+        Measurement(subject, "frame to command in the backend, median of the last 1000", float(own[1]), "ms", MEDIAN),
+        Measurement(subject, "frame to command in the backend, 99th percentile", float(own[2]), "ms", P99),
+        Measurement(subject, f"frame to command in the log, median of {len(latency)}", median, "ms"),
+        Measurement(subject, "frame to command in the log, 99th percentile", p99, "ms"),
         Measurement(subject, f"late frames of {frames}, MuJoCo, one core", 100.0 * late_frames / frames, "%", LATE),
         Measurement(subject, f"late slices of {slices}", 100.0 * late_slices / slices, "%"),
         Measurement(subject, "worst delay of a slice", float(counts[5]), "ms"),
