@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import loop, planner, table
+from benchmarks import live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.experiment.results import installed_versions
@@ -37,6 +37,12 @@ def measure(console: Console) -> Iterator[Measurement]:
                 measurements, built = table.run(learned, method)
                 yield from measurements
                 yield from planner.run(learned, method, built, folder)
+        obstacle = live.obstacle()
+        if obstacle:
+            console.print(f"the session over the network is not measured: {obstacle}")
+            return
+        with console.status("session over the network"):
+            yield from live.run(folder, folder / f"{method}.npz", method)
 
 
 def render(measurements: list[Measurement]) -> Table:

@@ -7,32 +7,32 @@ from typing import Any
 
 import lcm
 
+from imolo import udpm
 from imolo.channels import CHANNELS
 from imolo.errors import BusError, did_you_mean
-
-MULTICAST_RECIPE = (
-    "for udpm:// on one machine: `ip link set lo multicast on; ip route add 224.0.0.0/4 dev lo`, "
-    "and ?ttl=0 in the URL; without a network use memq://"
-)
 
 
 class Bus:
     """Typed publish and subscribe over one LCM instance.
 
     `memq://` stays inside this instance, in strict order: what a handler publishes is delivered after what was already
-    waiting. Every other LCM URL works as well.
+    waiting. Every other LCM URL works as well. Queues are unbounded: LCM's own limit of 30 would keep the oldest
+    messages and lose the newest without a word.
     """
 
     def __init__(self, url: str = "memq://") -> None:
         """Open the bus.
 
         Raises:
-            BusError: LCM cannot open `url`.
+            BusError: LCM cannot open `url`, no route leads to it, or its port is occupied.
         """
+        if url.startswith(udpm.SCHEME):
+            url = udpm.check_url(url)
         try:
             self._lcm = lcm.LCM(url)
         except RuntimeError as error:
-            raise BusError(f"cannot open the LCM bus {url!r}; {MULTICAST_RECIPE}") from error
+            raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
+        self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
 
     def publish(self, channel: str, message: Any) -> None:
         """Encode and send a message.
@@ -47,7 +47,7 @@ class Bus:
             data = message.encode()
         except (struct.error, TypeError, IndexError) as error:
             raise BusError(f"a message for {channel} cannot be encoded: {error}") from error
-        self._lcm.publish(channel, data)
+        self.publish_raw(channel, data)
 
     def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every decoded message of a channel, from within `drain`.
@@ -56,21 +56,50 @@ class Bus:
             BusError: The channel is not in the table.
         """
         decode = _message_type(channel).decode
-        self._lcm.subscribe(channel, lambda _, data: handler(decode(data)))
+        self._subscribe(channel, lambda _, data: handler(decode(data)))
 
-    def subscribe_raw(self, handler: Callable[[str, bytes], None]) -> None:
-        """Call `handler` with channel and bytes of every message on the bus, from within `drain`; none is dropped."""
-        self._lcm.subscribe(".*", handler).set_queue_capacity(0)
+    def publish_raw(self, channel: str, data: bytes) -> None:
+        """Send a message that is already encoded."""
+        self._lcm.publish(channel, data)
+
+    def subscribe_raw(self, handler: Callable[[str, bytes], None], channel: str = ".*") -> None:
+        """Call `handler` with channel and bytes of every message of the channel, or of all, from within `drain`."""
+        self._subscribe(channel, handler)
+
+    def subscribe_newest(
+        self, channel: str, handler: Callable[[str, bytes], None], skipped: Callable[[bytes], None] = lambda _: None
+    ) -> None:
+        """Call `handler` with the newest message alone, where several are waiting, and `skipped` with the others.
+
+        For control, where an answer to an old frame would only delay the one to the newest.
+        """
+
+        def keep(_: str, data: bytes) -> None:
+            if channel in self._newest:
+                skipped(self._newest[channel][1])
+            self._newest[channel] = (handler, data)
+
+        self._subscribe(channel, keep)
 
     def drain(self) -> None:
         """Handle every waiting message, those included that handlers publish meanwhile."""
-        while self._lcm.handle_timeout(0) > 0:
-            pass
+        handle = self._lcm.handle_timeout
+        while True:
+            while handle(0) > 0:
+                pass
+            if not self._newest:
+                return
+            newest, self._newest = self._newest, {}
+            for channel, (handler, data) in newest.items():
+                handler(channel, data)
 
     def wait(self, timeout: float) -> None:
         """Wait for a message for `timeout` [s] at most, and handle all that is there."""
         if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
             self.drain()
+
+    def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
+        self._lcm.subscribe(channel, handler).set_queue_capacity(0)
 
 
 def _message_type(channel: str) -> type[Any]:

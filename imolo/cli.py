@@ -15,6 +15,7 @@ from rich.table import Table
 
 from imolo.errors import BackendNotFoundError, ConfigError, ImoloError, did_you_mean
 from imolo.inspect import commands as inspect_commands
+from imolo.live import commands as live_commands
 
 # The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ app = typer.Typer(
     help="Jump-and-hit motions of a pneumatic humanoid from a lookup table of learned dynamics (IMoLo), "
     "compared across physics engines over LCM.",
 )
+app.add_typer(live_commands.app)
 app.add_typer(inspect_commands.app)
 console = Console()
 errors = Console(stderr=True)

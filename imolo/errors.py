@@ -24,6 +24,10 @@ class DivergenceError(BackendError):
     """The simulated state is no longer finite."""
 
 
+class TrialVoidError(ImoloError):
+    """A trial was broken off and says nothing about the robot; it may be repeated."""
+
+
 class MessageError(ImoloError):
     """A message holds values that cannot be used."""
 

@@ -87,7 +87,10 @@ def _event_at(content: bytes, start: int) -> LogEvent | None:
         return None
     end = _end(event)
     if end == len(content) or content.startswith(SYNC, end):
-        return event
+        # A wrong length may lead to the start of a later event by chance; then the next one lies inside.
+        inside = content.find(SYNC, start + 1, end)
+        swallowed = _parse(content, inside) if inside >= 0 else None
+        return None if swallowed is not None and swallowed.number == event.number + 1 else event
     # Either the length of this event is wrong or the next header is. An event inside this one, or one with the next
     # number behind a gap, tells that it is the length.
     following = _parse(content, _next_event(content, start + 1))

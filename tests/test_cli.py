@@ -24,6 +24,7 @@ IMOLO = Path(sys.executable).with_name("imolo")
 COMMANDS = (
     *("backends", "check", "attribute", "compare", "learn", "hit", "ball"),
     *("spy", "top", "replay", "diff", "export", "plot", "view"),
+    *("backend", "planner", "record", "throw", "up"),
 )
 GOOD = "backend: {name: mujoco}\n"
 

@@ -127,11 +127,21 @@ def run_task(task: TrialTask) -> TrialTiming:
         controller = MotionPlayer(config.motion, theta)
         duration = START_MARGIN + theta.t_w + config.training.sampled_to
     elif task.table_path is not None:
-        table, ball_model = _load(task.table_path, task.table_path.stat().st_mtime_ns, config.robot.name)
+        table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
     begin = time.perf_counter()
     simulated = run_trial(config, trial, controller, task.log_path, duration)
     return TrialTiming(simulated, time.perf_counter() - begin, tuple(decisions))
+
+
+def load_learned(path: Path, robot: str) -> tuple[LookupTable, BallModel]:
+    """Return the table of a file and the ball model it was learned with.
+
+    Raises:
+        TableFileError: The file cannot be read, or is for another robot.
+    """
+    modified = path.stat().st_mtime_ns if path.is_file() else 0
+    return _load(path, modified, robot)
 
 
 @lru_cache(maxsize=8)

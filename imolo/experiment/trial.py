@@ -1,5 +1,6 @@
 """Run one trial: a backend, a controller and a recorder on one bus, from start to end."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -7,6 +8,7 @@ from imolo import channels
 from imolo.backend import EventName, Trial
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
+from imolo.errors import TrialVoidError
 from imolo.log import Recorder
 from imolo.registry import load_backend
 from imolo_msgs import trial_event_t
@@ -28,7 +30,14 @@ class Bystander:
         """Join the bus, to say nothing."""
 
 
-def run_trial(config: ExperimentConfig, trial: Trial, controller: Controller, log_path: Path, duration: float) -> float:
+def run_trial(
+    config: ExperimentConfig,
+    trial: Trial,
+    controller: Controller,
+    log_path: Path,
+    duration: float,
+    after_slice: Callable[[int], None] = lambda _: None,
+) -> float:
     """Run a trial in lock-step and record all of it.
 
     The trial ends a while after the ball was hit or has landed, and at `duration` at the latest.
@@ -39,6 +48,7 @@ def run_trial(config: ExperimentConfig, trial: Trial, controller: Controller, lo
         controller: What commands the robot.
         log_path: Log to write; complete up to the last message even if the trial fails.
         duration: Longest time [s].
+        after_slice: Told the time of the backend after each slice [µs]; may wait, publish, or break the trial off.
 
     Returns:
         Duration of the trial [s].
@@ -46,6 +56,7 @@ def run_trial(config: ExperimentConfig, trial: Trial, controller: Controller, lo
     Raises:
         BackendError: The backend refused the scene, or diverged.
         BusError: The log cannot be written.
+        TrialVoidError: The trial was broken off; the log ends with the reason.
     """
     bus = Bus(config.bus)
     plugin = load_backend(config.backend.name)
@@ -67,8 +78,16 @@ def run_trial(config: ExperimentConfig, trial: Trial, controller: Controller, lo
             while backend.utime < end:
                 backend.advance(min(backend.utime + SLICE, end))
                 bus.drain()
+                after_slice(backend.utime)
+                bus.drain()
             bus.publish(channels.TRIAL, _event(config, trial, EventName.END, backend.utime))
             bus.drain()
+        except TrialVoidError as void:
+            event = _event(config, trial, EventName.END, backend.utime)
+            event.detail += f"; void: {void}"
+            bus.publish(channels.TRIAL, event)
+            bus.drain()
+            raise
         finally:
             backend.close()
     return backend.utime * 1e-6

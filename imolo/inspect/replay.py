@@ -4,15 +4,14 @@ from pathlib import Path
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.ball.fit import restore_ball_model
 from imolo.bus import Bus
 from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
 from imolo.errors import BusError, ConfigError, did_you_mean
+from imolo.experiment.campaign import load_learned
 from imolo.inspect.diff import RunComparison, compare_runs
 from imolo.log import decode, read_log
 from imolo.log_file import LogEvent, read_events
 from imolo.method.planner import Planner
-from imolo.method.table import LookupTable
 
 HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
 SAID = (channels.VALVE_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
@@ -42,8 +41,7 @@ def replay(log_path: Path, table_path: Path, method: str, config_path: Path | No
         raise ConfigError(
             f"unknown method {method!r}{did_you_mean(method, config.methods)}; known: {', '.join(config.methods)}"
         )
-    table = LookupTable.load(table_path, start.robot)
-    ball_model = restore_ball_model(table.origin["ball_model"])
+    table, ball_model = load_learned(table_path, start.robot)
     planner = Planner(table, ball_model, config.methods[method].planner, config.tracker)
     recorded = [event for event in events if event.channel in SAID]
     return compare_runs(recorded, answers(planner, events))

@@ -5,9 +5,15 @@ lcm-gen 1.5.3
 """
 
 from .ball_state_t import ball_state_t as ball_state_t
+from .envelope_t import envelope_t as envelope_t
+from .heartbeat_t import heartbeat_t as heartbeat_t
 from .marker_t import marker_t as marker_t
 from .mocap_frame_t import mocap_frame_t as mocap_frame_t
 from .plan_t import plan_t as plan_t
+from .step_answer_t import step_answer_t as step_answer_t
+from .step_request_t import step_request_t as step_request_t
+from .throw_report_t import throw_report_t as throw_report_t
+from .throw_request_t import throw_request_t as throw_request_t
 from .trial_event_t import trial_event_t as trial_event_t
 from .truth_ball_t import truth_ball_t as truth_ball_t
 from .truth_robot_t import truth_robot_t as truth_robot_t

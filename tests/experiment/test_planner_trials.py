@@ -169,9 +169,9 @@ def test_one_planner_with_one_table_file_makes_every_backend_speak_alike(learned
         run_task(TrialTask(config(backend), Trial(TrialKind.HIT, 0, 1), path, "paper", table))
         logs.append(read_log(path))
     spoken = [{name: type(messages[0]) for name, messages in log.messages.items() if messages} for log in logs]
-    assert spoken == [{name: channel.message_type for name, channel in channels.CHANNELS.items()}] * len(AVAILABLE)
+    assert spoken == [{name: channel.message_type for name, channel in channels.STREAMS.items()}] * len(AVAILABLE)
     # When things happen, motions start and the ball is struck is for engine and planner to say.
-    clocked = set(channels.CHANNELS) - {channels.TRIAL, channels.VALVE_COMMAND, channels.BALL_STATE}
+    clocked = set(channels.STREAMS) - {channels.TRIAL, channels.VALVE_COMMAND, channels.BALL_STATE}
     end = min(log.messages[channels.TRIAL][-1].utime for log in logs) - 10 * SLICE  # a frame may be under way
     for name in clocked:
         clocks = [[message.utime for message in log.messages[name] if message.utime < end] for log in logs]

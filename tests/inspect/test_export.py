@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 from recorded_trials import Recorded, Run
 
+from imolo.channels import STREAMS
 from imolo.inspect import export
 from imolo.inspect.fields import flatten
 from imolo.inspect.mcap_export import to_json
@@ -26,7 +27,8 @@ def log(recorded: Recorded) -> Log:
 def test_csv_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:
     code, output, errors = run("export", recorded.first, "--to", "csv", "--out", tmp_path / "tables")
     assert (code, errors, len(output.splitlines())) == (0, "", 8)
-    for name, messages in log.messages.items():
+    for name in STREAMS:
+        messages = log.messages[name]
         with (tmp_path / "tables" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         assert [int(row["recorded_utime"]) for row in rows] == log.received[name]
@@ -41,7 +43,8 @@ def test_csv_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, run: R
 def test_parquet_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:
     code, _, errors = run("export", recorded.first, "--to", "parquet", "--out", tmp_path)
     assert (code, errors) == (0, "")
-    for name, messages in log.messages.items():
+    for name in STREAMS:
+        messages = log.messages[name]
         rows = parquet.read_table(tmp_path / f"{name}.parquet").to_pylist()
         assert [row.pop("recorded_utime") for row in rows] == log.received[name]
         for row, message in zip(rows, messages, strict=True):
@@ -57,7 +60,8 @@ def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run:
             assert schema is not None
             content = json.loads(message.data, parse_constant=pytest.fail)
             found.setdefault(channel.topic, []).append((message.log_time, schema.name, content))
-    for name, messages in log.messages.items():
+    for name in STREAMS:
+        messages = log.messages[name]
         expected = [
             (1000 * utime, f"imolo_msgs.{type(message).__name__}", to_json(message))
             for utime, message in zip(log.received[name], messages, strict=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded_trials import Recorded
 
-from imolo.channels import CHANNELS
+from imolo.channels import STREAMS
 from imolo.errors import FieldError
 from imolo.inspect.definitions import definition_files, field_units
 from imolo.inspect.fields import columns, flatten, parse_selector, series
@@ -95,7 +95,7 @@ def test_columns_of_longer_messages_are_empty_for_shorter_ones() -> None:
 
 
 def test_every_time_has_its_unit() -> None:
-    for channel in CHANNELS.values():
+    for channel in STREAMS.values():
         for name in channel.message_type.__slots__:
             if name.endswith("utime"):
                 assert field_units()[channel.message_type.__name__, name] == ("us",)

@@ -72,7 +72,7 @@ def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names:
 
 def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> None:
     found = {channel.channel: channel for channel in statistics_of(read_events(recorded.first)[0]).channels}
-    assert list(found) == list(channels.CHANNELS)
+    assert list(found) == list(channels.STREAMS)
     # Stamps are multiples of the 1 ms between two looks at the bus, over most of a second.
     assert found["VALVE_PRESSURE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
     assert found["TRUTH_ROBOT"].mean_rate == pytest.approx(240.0, rel=1e-2)
@@ -112,7 +112,7 @@ def test_top_shows_every_channel_of_a_log(
     monkeypatch.setattr("imolo.inspect.commands.console.width", width)
     code, output, errors = run("top", recorded.first)
     assert (code, errors) == (0, "")
-    assert all(re.search(rf"^ {name} ", output, flags=re.MULTILINE) for name in channels.CHANNELS)
+    assert all(re.search(rf"^ {name} ", output, flags=re.MULTILINE) for name in channels.STREAMS)
     assert ("mocap_frame_t" in output) == (width == 140)
     assert max(map(len, output.splitlines())) <= width
 

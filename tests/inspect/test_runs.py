@@ -9,7 +9,7 @@ import pytest
 from recorded_trials import METHOD, Recorded, Run
 
 from imolo import channels
-from imolo.channels import CHANNELS
+from imolo.channels import STREAMS
 from imolo.inspect.diff import compare_logs, compare_runs
 from imolo.inspect.divergence import difference_over_time, draw_divergence
 from imolo.log import read_log
@@ -27,7 +27,7 @@ def rewrite(path: Path, events: list[LogEvent]) -> Path:
 def changed(events: list[LogEvent], channel: str, index: int, field: str, element: int, by: float) -> list[LogEvent]:
     """Return the events with one element of one message moved."""
     position = [n for n, event in enumerate(events) if event.channel == channel][index]
-    message = CHANNELS[channel].message_type.decode(events[position].data)
+    message = STREAMS[channel].message_type.decode(events[position].data)
     values = list(getattr(message, field))
     values[element] += by
     setattr(message, field, values)

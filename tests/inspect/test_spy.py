@@ -11,9 +11,10 @@ import pytest
 from recorded_trials import Recorded, Run
 from requirements import needs
 
-from imolo.channels import CHANNELS
+from imolo.channels import STREAMS
 from imolo.errors import MissingToolError
 from imolo.inspect import spy, types_jar
+from imolo.inspect.definitions import definition_files
 from imolo.log_file import read_events
 
 JAVA_SOURCE = Path(__file__).with_name("DecodeLog.java")
@@ -41,7 +42,7 @@ class TestWithJava:
         found = [line.split()[1:] for line in ran.stdout.splitlines() if line.startswith("RESULT")]
         assert {same for _, _, same in found} == {"true"}
         assert {channel: kind for channel, kind, _ in found} == {
-            name: f"imolo_msgs.{channel.message_type.__name__}" for name, channel in CHANNELS.items()
+            name: f"imolo_msgs.{channel.message_type.__name__}" for name, channel in STREAMS.items()
         }
         assert Counter(channel for channel, _, _ in found) == Counter(e.channel for e in read_events(recorded.first)[0])
 
@@ -88,7 +89,7 @@ class TestWithJava:
             finally:
                 os.killpg(window.pid, signal.SIGTERM)
                 said = window.communicate(timeout=30)
-            assert "Found 9 LCM types" in said[0] + said[1]
+            assert f"Found {len(definition_files())} LCM types" in said[0] + said[1]
         finally:
             screen.terminate()
             screen.wait(30)

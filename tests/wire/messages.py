@@ -11,6 +11,7 @@ TYPES: dict[str, type[Any]] = {
     name: value for name, value in vars(imolo_msgs).items() if isinstance(value, type) and hasattr(value, "_decode_one")
 }
 PRIMITIVES: dict[str, st.SearchStrategy[Any]] = {
+    "byte": st.integers(0, 255),
     "int8_t": st.integers(-(2**7), 2**7 - 1),
     "int32_t": st.integers(-(2**31), 2**31 - 1),
     "int64_t": st.integers(-(2**63), 2**63 - 1),
@@ -45,6 +46,6 @@ def plain(value: Any) -> Any:
     """Return a message as nested lists, so that two of them can be compared; -0.0 and 0.0 differ."""
     if hasattr(value, "__slots__"):
         return [plain(getattr(value, name)) for name in value.__slots__]
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | bytes):
         return [plain(element) for element in value]
     return (value, math.copysign(1.0, value)) if isinstance(value, float) else value

@@ -1,0 +1,280 @@
+"""The planner at the other end of the network, as the controller of a trial.
+
+Backend and recorder of a trial are on a bus of their own, as in a single process; these controllers carry the backend's
+messages to the network and the planner's messages back. So a trial in lock-step is the same to the byte, and in either
+mode a trial's log is judged by the same code.
+"""
+
+import struct
+import time
+from typing import NoReturn
+
+import numpy as np
+
+from imolo import channels
+from imolo.backend import EventName
+from imolo.bus import Bus
+from imolo.channels import CHANNELS
+from imolo.errors import TrialVoidError
+from imolo.experiment.trial import SLICE
+from imolo.live.clock import Pace
+from imolo.live.identity import Role
+from imolo.live.lockstep import Asker
+from imolo.live.node import Node
+from imolo.live.program import Console, Stop
+from imolo.live.streams import Latency, Streams
+from imolo.method.motion import NUM_VALVES, Commands
+from imolo_msgs import trial_event_t, valve_command_t
+
+PLANNER_SAYS = (channels.VALVE_COMMAND, channels.BALL_STATE, channels.PLAN)
+UNANSWERED = 0.2  # [s] without an answer to any frame until a robot is vented, assumed: 24 frames
+VENTED = 0.3  # [s] that a trial goes on without its planner, so that its log shows the pressures fall
+_UTIME = struct.Struct(">8xq")  # behind the fingerprint
+
+
+class RemotePlanner:
+    """What lock-step and real time have in common.
+
+    Attributes:
+        streams: How the streams of the session do.
+        latency: From a frame to its answer.
+        frames: Number of frames so far.
+        outcome: How the ball of this trial ended; empty as long as it flies.
+        lost: How this trial lost its planner and went on without; empty where it did not.
+    """
+
+    paced = False
+
+    def __init__(self, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
+        """Join the network; `begin` and `attach` follow for every trial."""
+        self.streams, self.latency = Streams(), Latency()
+        self.frames = 0
+        self.outcome = self.lost = ""
+        self._bus, self._node, self._stop, self._console = bus, node, stop, console
+        self._asker = Asker(bus, node.instance, self._watch)
+        self._inside: Bus | None = None
+        self._planner = 0
+        self._void = ""
+
+    def begin(self) -> None:
+        """Prepare for the next trial.
+
+        Raises:
+            TrialVoidError: There is no planner.
+        """
+        planner = self._node.peer(Role.PLANNER)
+        if planner is None:
+            raise TrialVoidError("there is no planner")
+        self._planner = planner.instance
+        self._void = self.outcome = self.lost = ""
+        self.streams.begin_trial()
+
+    def attach(self, bus: Bus) -> None:
+        """Join the bus of the trial."""
+        self._inside = bus
+        bus.subscribe_raw(self._relay)
+
+    def leave(self) -> None:
+        """Leave the bus of the trial."""
+        self._inside = None
+
+    def after_slice(self, utime: int) -> None:
+        """Look after the network between two slices of a trial that is at `utime` [µs].
+
+        Raises:
+            TrialVoidError: The trial cannot go on.
+        """
+        raise NotImplementedError
+
+    def describe(self) -> str:
+        """Return how the clock does, in words."""
+        raise NotImplementedError
+
+    def _relay(self, channel: str, data: bytes) -> None:
+        """Carry a message of the trial to the network."""
+        raise NotImplementedError
+
+    def _on_event(self, data: bytes) -> None:
+        event = trial_event_t.decode(data)
+        if event.event in (EventName.HIT, EventName.BALL_LANDED) and not self.outcome:
+            self.outcome = f"{event.event} at {event.utime * 1e-6:.3f} s, {event.detail}"
+        if event.event == EventName.END:
+            try:
+                self._ask(channels.TRIAL, data)
+            except TrialVoidError:
+                # All that the planner could have said has been heard.
+                self._console.say("the planner did not hear the end of the trial")
+        elif event.event == EventName.START or not self.paced:
+            self._ask(channels.TRIAL, data, event.event == EventName.START)
+
+    def _ask(self, channel: str, data: bytes, first: bool = False) -> None:
+        """Ask the planner and let the trial hear what it says."""
+        if self._void or self._inside is None:
+            return  # what is left of a trial that was broken off
+        begin = time.perf_counter()
+        try:
+            answers = self._asker.ask(channel, data, first, self.paced)
+        except TrialVoidError as void:
+            self._void = str(void)
+            raise
+        if channel == channels.MOCAP:
+            self.latency.add(time.perf_counter() - begin)
+        for said in answers:
+            self._inside.publish_raw(*said)
+
+    def _watch(self) -> None:
+        """Keep the heart beating; break the trial off if it cannot go on."""
+        self._node.tend()
+        if self._stop:
+            self._give_up("stopped by the user")
+        if lost := self._planner_lost():
+            self._give_up(lost)
+
+    def _give_up(self, reason: str) -> NoReturn:
+        self._void = reason
+        raise TrialVoidError(reason)
+
+    def _planner_lost(self) -> str:
+        planner = self._node.peer(Role.PLANNER)
+        if planner is None:
+            return "the planner was lost"
+        return "" if planner.instance == self._planner else "the planner was started again"
+
+
+class LockstepPlanner(RemotePlanner):
+    """The trial stands still until the planner has answered."""
+
+    def after_slice(self, utime: int) -> None:
+        """Hear the network, then go on at once."""
+        self._bus.wait(0.0)
+        self._watch()
+
+    def describe(self) -> str:
+        """Return how often the planner had to be asked again."""
+        return f"lock-step, {self._asker.resent} of {self._asker.asked} questions asked again"
+
+    def _relay(self, channel: str, data: bytes) -> None:
+        self._bus.publish_raw(channel, data)
+        self.streams.count(channel, data)
+        if channel == channels.TRIAL:
+            self._on_event(data)
+        elif channel == channels.MOCAP:
+            self.frames += 1
+            self._ask(channel, data)
+
+
+class RealtimePlanner(RemotePlanner):
+    """The trial waits for the clock on the wall alone; without its planner the robot is vented.
+
+    Attributes:
+        pace: How well the backend keeps up.
+        late_frames: Number of frames that were sent after their time.
+        ignored: Number of commands that answer no frame of their trial, or cannot be read.
+    """
+
+    paced = True
+
+    def __init__(self, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
+        """Join the network; `begin` and `attach` follow for every trial."""
+        super().__init__(bus, node, stop, console)
+        self.pace = Pace(bus.wait)
+        self.late_frames = self.ignored = 0
+        self._utime = 0
+        self._vented: int | None = None
+        self._command = b""
+        self._answered = 0.0
+        self._sent: dict[int, float] = {}
+        bus.subscribe_newest(channels.VALVE_COMMAND, self._on_command, self._count_skipped)
+        for channel in (channels.BALL_STATE, channels.PLAN):
+            bus.subscribe_raw(self._on_reason, channel)
+
+    def begin(self) -> None:
+        """Prepare for the next trial."""
+        super().begin()
+        self.pace.restart()
+        self._utime, self._vented, self._command = 0, None, b""
+        self._sent = {}
+
+    def after_slice(self, utime: int) -> None:
+        """Wait for the clock on the wall, and hear the network meanwhile."""
+        self.pace.hold(utime)
+        self._utime = utime
+        self._node.tend()
+        if self._stop:
+            self._give_up("stopped by the user")
+        if self._vented is None:
+            lost = self._planner_lost()
+            if lost:
+                self._vent(utime, lost)
+        elif utime >= self._vented + round(VENTED * 1e6):
+            self._give_up(self.lost)
+
+    def _planner_lost(self) -> str:
+        silence = time.perf_counter() - self._answered
+        if self._sent and silence > UNANSWERED:
+            return f"the planner has not answered a frame for {silence:.1f} s"
+        return super()._planner_lost()
+
+    def describe(self) -> str:
+        """Return how many slices and frames were late."""
+        pace = self.pace
+        text = (
+            f"real time, late {self.late_frames}/{self.frames} frames, {pace.overruns}/{pace.slices} slices "
+            f"(worst {1e3 * pace.worst:.1f} ms), {pace.heavy} heavy, "
+            f"busy {100.0 * pace.computed / max(pace.played, 1e-3):.0f} %"
+        )
+        text += f", {self.ignored} commands refused" if self.ignored else ""
+        return text + (f", {pace.lost:.1f} s lost" if pace.lost else "")
+
+    def _relay(self, channel: str, data: bytes) -> None:
+        if channel not in PLANNER_SAYS:  # which come from the network
+            self._bus.publish_raw(channel, data)
+            self.streams.count(channel, data)
+        if channel == channels.TRIAL:
+            self._on_event(data)
+        elif channel == channels.MOCAP:
+            self.frames += 1
+            self.late_frames += self.pace.lateness(self._utime + SLICE) > 0.0
+            now = time.perf_counter()
+            self._answered = self._answered if self._sent else now
+            self._sent[_UTIME.unpack_from(data)[0]] = now
+
+    def _on_reason(self, channel: str, data: bytes) -> None:
+        if self._inside is not None and self._answers_a_frame(channel, data):
+            self._answered = time.perf_counter()
+            self.streams.count(channel, data)
+            self._inside.publish_raw(channel, data)
+
+    def _on_command(self, channel: str, data: bytes) -> None:
+        now = time.perf_counter()
+        if self._inside is None or self._vented is not None:
+            return
+        if not self._answers_a_frame(channel, data):
+            self.ignored += 1
+            return
+        self.streams.count(channel, data)
+        self.latency.add(now - self._sent[_UTIME.unpack_from(data)[0]])
+        self._command = data
+        self._inside.publish_raw(channel, data)
+
+    def _count_skipped(self, data: bytes) -> None:
+        self.streams.count(channels.VALVE_COMMAND, data)
+
+    def _answers_a_frame(self, channel: str, data: bytes) -> bool:
+        """Return whether a message can be read and belongs to this trial: every trial begins at 0 again."""
+        try:
+            return CHANNELS[channel].message_type.decode(data).utime in self._sent
+        except (ValueError, struct.error):
+            return False
+
+    def _vent(self, utime: int, lost: str) -> None:
+        """Let the air out of a robot in motion; one at rest stays at rest."""
+        self._vented, self.lost = utime, lost
+        if not self._command or self._inside is None:
+            self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
+            return
+        sequence = valve_command_t.decode(self._command).command_sequence + 1
+        vent = Commands(utime - 1, (utime,), np.zeros((1, NUM_VALVES))).to_message(utime, sequence)
+        self._inside.publish(channels.VALVE_COMMAND, vent)
+        self._bus.publish(channels.VALVE_COMMAND, vent)
+        self._console.say(f"{lost} at {utime * 1e-6:.3f} s; all valves vent")
