@@ -168,13 +168,13 @@ def _descend(
     level = start.mean or 0.0
     own = [change for change in changes if change.swap.side != BOTH]
     shared = [change for change in changes if change.swap.side == BOTH]
-    for group in (own, shared):
+    for what, group in (("swap", own), ("shared swap", shared)):
         left = group
         while left:
             for number, candidates in ((1, left), (2, _pairs(left))):
                 if not candidates:
                     continue
-                results = bench.try_all(f"swap {len(kept) + 1}, {number} at a time", pair, candidates)
+                results = bench.try_all(f"{what} {len(kept) + 1}, {number} at a time", pair, candidates)
                 best = min(range(len(results)), key=lambda i: results[i].mean)
                 if results[best].mean < level - LEAST_GAIN:
                     break
@@ -279,6 +279,8 @@ class _Bench:
             for digest, config in new.items()
         }
         flat = [task for group in tasks.values() for task in group]
+        if not flat:
+            return
         done = 0
 
         def count(_: TrialTask) -> None:

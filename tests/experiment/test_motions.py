@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from requirements import BACKEND_NAMES, needs
+from requirements import needs
 from trials import BACKENDS, COARSE, hand_in_truth, play_motion, quiet
 
 from imolo import channels
@@ -28,9 +28,10 @@ def motion(
     theta: Theta,
     sole: Literal["semicircular", "flat"] = "semicircular",
     timestep: float = COARSE,
-    friction: float = ContactConfig().friction,
+    contact_friction: float = ContactConfig().friction,
+    **options: str,
 ) -> Log:
-    chosen = quiet(backend, timestep, sole=sole, contact={"friction": friction})
+    chosen = quiet(backend, timestep, options, sole=sole, contact={"friction": contact_friction})
     with TemporaryDirectory() as folder:
         return play_motion(chosen, Path(folder) / "log", theta, SWING + 0.03)
 
@@ -88,8 +89,8 @@ def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
     assert sideways < 0.02 * leaning.max()
 
 
-# At the friction of the experiments a flat foot slips a little when it leaves the box, which turns the robot: by 6 and
-# 5 % of the round soles' reach in MuJoCo and PyBullet, by 41 % in DART and 47 % in ODE, with or without a pyramid. The
+# At the friction of the experiments a flat foot slips a little when it leaves the box, which turns the robot: by 0, 9 and
+# 2 % of the round soles' reach in MuJoCo, PyBullet and DART, but by 47 % in ODE, and by 41 % in DART with a pyramid. The
 # claim is about the shape, so it is tested where nothing slips.
 NO_SLIP = 3.0
 
@@ -105,16 +106,30 @@ def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
     assert abs(reach("flat")) < 0.1 * reach("semicircular")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [pytest.param(*pair, marks=needs(*pair)) for pair in combinations(BACKEND_NAMES, 2)],
-)
-def test_hands_of_two_engines_agree_over_table_iii(one: str, other: str) -> None:
-    distance = [
-        1e3 * np.linalg.norm(hand(motion(one, theta, timestep=FINE)) - hand(motion(other, theta, timestep=FINE)))
+# Measured: mujoco - pybullet 5.6 ± 4.4, mujoco - dart 3.6 ± 2.7, pybullet - dart 4.8 ± 4.0 mm. The bound is the one the
+# project has set itself.
+AGREEMENT = 12.0  # [mm]
+
+
+def disagreement(one: str, other: str, **options: str) -> float:
+    """Return how far apart the hands are, mean over Table III [mm]; the options are those of the second backend."""
+    distances = [
+        np.linalg.norm(hand(motion(one, theta, timestep=FINE)) - hand(motion(other, theta, timestep=FINE, **options)))
         for theta in TRAINING_MOTIONS
     ]
-    # Measured: mujoco - pybullet 11.3 ± 6.3, mujoco - dart 21.7 ± 9.9, pybullet - dart 14.5 ± 8.6, mujoco - ode
-    # 20.1 ± 9.8, pybullet - ode 12.4 ± 6.4, dart - ode 3.9 ± 3.4 mm. The bound is the one the project has set itself.
-    assert np.mean(distance) < 25.0
+    return 1e3 * float(np.mean(distances))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("one", "other"), combinations(("mujoco", "pybullet", "dart"), 2))
+def test_hands_of_two_engines_with_a_cone_agree_over_table_iii(one: str, other: str) -> None:
+    assert disagreement(one, other) < AGREEMENT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ode", [pytest.param("ode", marks=needs("ode"))])
+def test_ode_agrees_with_a_direct_solver_and_a_pyramid(ode: str) -> None:
+    """ODE solves its contacts as DART does with `friction: pyramid`; measured 3 mm, and 15 to 17 mm from a cone."""
+    assert disagreement(ode, "dart", friction="pyramid") < AGREEMENT
+    for other in ("mujoco", "pybullet", "dart"):
+        assert disagreement(ode, other) > AGREEMENT

@@ -1,6 +1,6 @@
 """Short trials on any backend, and hand-made logs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,23 @@ UNDISTURBED = {"profile": "none"}
 PERFECT_CAMERAS = {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 0.0, "unlabelled": 0.0}
 
 
-def config(backend: str, timestep: float = COARSE, seed: int = 1, **simulation: Any) -> ExperimentConfig:
+def config(
+    backend: str, timestep: float = COARSE, options: Mapping[str, Any] | None = None, seed: int = 1, **simulation: Any
+) -> ExperimentConfig:
     return ExperimentConfig.model_validate(
-        {"seed": seed, "backend": {"name": backend}, "simulation": {"timestep": timestep, **simulation}}
+        {
+            "seed": seed,
+            "backend": {"name": backend, **(options or {})},
+            "simulation": {"timestep": timestep, **simulation},
+        }
     )
 
 
-def quiet(backend: str, timestep: float = COARSE, **simulation: Any) -> ExperimentConfig:
+def quiet(
+    backend: str, timestep: float = COARSE, options: Mapping[str, Any] | None = None, **simulation: Any
+) -> ExperimentConfig:
     """Return a config without any chance that the robot or its markers feel."""
-    return config(backend, timestep, disturbance=UNDISTURBED, mocap=PERFECT_CAMERAS, **simulation)
+    return config(backend, timestep, options, disturbance=UNDISTURBED, mocap=PERFECT_CAMERAS, **simulation)
 
 
 def play(
