@@ -89,8 +89,8 @@ def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
     assert sideways < 0.02 * leaning.max()
 
 
-# At the friction of the experiments a flat foot slips a little when it leaves the box, which turns the robot: by 0, 9 and
-# 2 % of the round soles' reach in MuJoCo, PyBullet and DART, but by 47 % in ODE, and by 41 % in DART with a pyramid. The
+# At the friction of the experiments a flat foot slips a little when it leaves the box, which turns the robot: by 0, 9
+# and 2 % of the round soles' reach in MuJoCo, PyBullet and DART, by 47 % in ODE and 41 % in DART with a pyramid. The
 # claim is about the shape, so it is tested where nothing slips.
 NO_SLIP = 3.0
 
@@ -128,8 +128,8 @@ def test_hands_of_two_engines_with_a_cone_agree_over_table_iii(one: str, other: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ode", [pytest.param("ode", marks=needs("ode"))])
-def test_ode_agrees_with_a_direct_solver_and_a_pyramid(ode: str) -> None:
-    """ODE solves its contacts as DART does with `friction: pyramid`; measured 3 mm, and 15 to 17 mm from a cone."""
+def test_ode_agrees_with_the_direct_solver_of_dart(ode: str) -> None:
+    """ODE solves its contacts as DART does with `friction: pyramid`; measured 3 mm, and 15 to 17 mm from the others."""
     assert disagreement(ode, "dart", friction="pyramid") < AGREEMENT
     for other in ("mujoco", "pybullet", "dart"):
         assert disagreement(ode, other) > AGREEMENT
