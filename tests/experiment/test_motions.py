@@ -121,7 +121,7 @@ def disagreement(one: str, other: str, **options: str) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("one", "other"), combinations(("mujoco", "pybullet", "dart"), 2))
+@pytest.mark.parametrize(("one", "other"), list(combinations(("mujoco", "pybullet", "dart"), 2)))
 def test_hands_of_two_engines_with_a_cone_agree_over_table_iii(one: str, other: str) -> None:
     assert disagreement(one, other) < AGREEMENT
 
