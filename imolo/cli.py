@@ -268,7 +268,10 @@ def report(
         Path | None, typer.Option(help="Page to write.", show_default="report.html in the results folder")
     ] = None,
 ) -> None:
-    """Write one HTML page of a results folder: numbers, figures, 3-D replay of every trial, provenance; works offline."""
+    """Write a results folder as one HTML page: numbers, figures, 3-D replay of every trial, provenance.
+
+    The page needs no network, and links to the logs where they lie.
+    """
     from imolo.report.page import write_report
 
     with _Bars(lambda: "no page was written") as bars:

@@ -152,7 +152,7 @@ def _only_group(path: Path) -> tuple[str, str]:
     groups = sorted({log.parent for log in (path / "logs").glob("*/*/hit_*.lcmlog")})
     if len(groups) != 1:
         raise ResultsError(
-            f"{path / 'summary.json'} is of one method on one backend, but {path / 'logs'} holds {len(groups)} of them; "
+            f"{path / 'summary.json'} is of one method on one backend, but the logs beside it are of {len(groups)}; "
             "give each `imolo hit` an --out of its own"
         )
     return groups[0].parent.name, groups[0].name

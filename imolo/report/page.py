@@ -2,9 +2,8 @@
 
 import base64
 import json
-import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from imolo import __version__, channels
-from imolo.backend import EventName
 from imolo.errors import ResultsError
 from imolo.experiment.figures import COLORS
 from imolo.experiment.metrics import HORIZONS, wilson_interval
@@ -107,7 +105,7 @@ def _environment() -> Environment:
 
     def part(name: str) -> Markup:
         """Return a script or stylesheet of ours as it is."""
-        return Markup(loader.get_source(environment, name)[0])  # noqa: S704
+        return Markup(loader.get_source(environment, name)[0])
 
     environment.globals["part"] = part
     environment.filters["percent"] = lambda share: f"{100 * share:.0f}"
@@ -118,7 +116,7 @@ def _environment() -> Environment:
 def _as_script(content: Any) -> Markup:
     """Return JSON that is safe inside a script element, whatever its strings hold."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def _section(section: Section, folder: Path) -> dict[str, Any]:

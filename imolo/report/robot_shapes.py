@@ -20,7 +20,7 @@ def robot_shapes(description: RobotDescription) -> dict[str, Any]:
 
     Returns:
         `links`, parents before children, each with its parent's number (-1: the trunk), its joint (`at` [m], `turn` as
-        quaternion w, x, y, z, `axis`, `angle`: which of TRUTH_ROBOT's angles moves it, -1 none, and whether it `slides`)
+        quaternion w, x, y, z, `axis`, `angle`: which of TRUTH_ROBOT's angles moves it, -1 none, whether it `slides`)
         and its `shapes` (kind, size [m], place, color); and the fixed `boxes` around the robot.
 
     Raises:

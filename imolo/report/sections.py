@@ -1,4 +1,4 @@
-"""Further results that may lie in the folder, each with what renders it; a new kind of results is one more line here."""
+"""Further results that may lie in the folder; a new kind of them is one more line of `SECTIONS`."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -69,8 +69,8 @@ def ball_tables(path: Path) -> Context:
             Grid(f"Error at the {protocol}" if protocol == "last point" else "Error at every sample", columns, rows)
         )
     note = (
-        f"{len(evaluation.flights)} flights of {evaluation.source}, leave-one-out. NEES over its dimension is 1 for a right "
-        "covariance, and 95 % lie inside the 95 % ellipsoid."
+        f"{len(evaluation.flights)} flights of {evaluation.source}, leave-one-out. NEES over its dimension is 1 for a "
+        "right covariance, and 95 % lie inside the 95 % ellipsoid."
     )
     if evaluation.left_out:
         note += f" {len(evaluation.left_out)} flights were left out, see {path.name}."

@@ -94,7 +94,7 @@ def _times(messages: Sequence[Any]) -> list[float]:
 def _continuous(turns: Array) -> Array:
     """Choose the signs of quaternions so that neighbours are near, as interpolation needs; shape (N, 4)."""
     flips = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    return turns * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    return np.asarray(turns * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
 
 
 def _ball(log: Log) -> Packed | None:

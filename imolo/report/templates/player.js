@@ -4,7 +4,7 @@ const DATA = JSON.parse(document.getElementById("data").textContent);
 const STATES = ["waits", "tracks the ball", "motion started", "motion updated", "motion kept"];
 const EVENT_NAMES = { throw: "throw", onset: "start", hit: "hit", ball_landed: "landed" };
 const VIEWS = {
-  free: { yaw: -64, pitch: 13, distance: 4.1, target: [1.0, 0, 1.08] },
+  free: { yaw: -64, pitch: 13, distance: 4.4, target: [1.0, 0, 1.18] },
   side: { yaw: -90, pitch: 3, distance: 4.6, target: [1.25, 0, 1.1] },
   back: { yaw: -176, pitch: 9, distance: 4.2, target: [0.8, 0, 1.1] },
   hand: { yaw: -58, pitch: 12, distance: 1.7, target: null },
