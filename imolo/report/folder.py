@@ -88,9 +88,13 @@ def read_campaign(path: Path) -> Campaign | None:
         backend, method = _only_group(path)
         results = {backend: {method: parse(MethodResult, text, path / "summary.json")}}
         seed, versions, digests, disagreement = configs[backend].seed if backend in configs else 0, {}, {}, {}
-    for backend in results:
+    for backend, methods in results.items():
+        file = path / "configs" / f"{backend}.yaml"
         if backend not in configs:
-            raise ResultsError(f"{path / 'configs' / backend}.yaml is missing, but summary.json names it; {AGAIN}")
+            raise ResultsError(f"{file} is missing, but summary.json names it; {AGAIN}")
+        for method in methods:
+            if method not in configs[backend].methods:
+                raise ResultsError(f"{file} has no method {method!r}, but summary.json names it; {AGAIN}")
     return Campaign(
         results=results,
         configs={backend: configs[backend] for backend in results},

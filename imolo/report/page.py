@@ -224,6 +224,7 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
         progress("logs", number, len(campaign.trials))
         if trial.log_path.exists():
             log = read_log(trial.log_path)
+            config = campaign.configs[trial.backend]
             trials.append(
                 {
                     "id": _identity(trial),
@@ -232,17 +233,17 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
                     "number": trial.result.trial,
                     "outcome": trial.result.outcome,
                     "path": _relative(trial.log_path, out),
-                    "voxel": campaign.configs[trial.backend].methods[trial.method].grid.spacing,
-                    **trial_tracks(log),
+                    "voxel": config.methods[trial.method].grid.spacing,
+                    **trial_tracks(log, config.robot.hand_marker),
                 }
             )
             robots.update(event.robot for event in log.messages[channels.TRIAL] if event.robot)
     progress("logs", len(campaign.trials), len(campaign.trials))
-    config = next(iter(campaign.configs.values()))
+    radius = next(iter(campaign.configs.values())).simulation.ball.radius
     description = describe_robot(sorted(robots)[0]) if robots else None
     return {
         "robot": None if description is None else robot_shapes(description),
-        "radius": config.simulation.ball.radius,
+        "radius": radius,
         "colors": _colors(campaign),
         "trials": trials,
     }

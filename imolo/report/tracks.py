@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from imolo import channels
 from imolo.backend import EventName
+from imolo.experiment.recordings import marker_track
 from imolo.log import Log
 from imolo_msgs import marker_t, plan_t
 
@@ -22,15 +23,19 @@ STEPS = 32767  # on each side of zero: int16
 SLACK = 1e-4  # [s] messages are stamped on a grid of 1 ms, so a step may be that much short of the rate's
 
 
-def trial_tracks(log: Log) -> Packed:
+def trial_tracks(log: Log, hand_marker: int) -> Packed:
     """Return the motion in a log.
 
     Robot and ball come from the simulation's truth. Where there is none, as from a real robot, the markers and the
     planner's estimate of the ball take its place.
 
+    Args:
+        log: Of one trial.
+        hand_marker: Label of the hand that is to hit the ball.
+
     Returns:
-        `duration` [s], `events` and, where the log has them, `robot`, `ball`, `markers` and `plans`; numbers are packed
-        by `pack`.
+        `duration` [s], `events` and, where the log has them, `robot`, `hand`, `ball`, `markers` and `plans`; numbers
+        are packed by `pack`.
     """
     events = [[round(event.utime * 1e-6, 6), event.event] for event in log.messages[channels.TRIAL]]
     tracks: Packed = {"events": events}
@@ -41,10 +46,13 @@ def trial_tracks(log: Log) -> Packed:
             "position": pack([message.trunk_position for message in truth]),
             "turn": pack(_continuous(np.array([message.trunk_quaternion for message in truth]))),
             "angle": pack([message.joint_angle for message in truth]),
-            "hand": pack([message.right_hand_position for message in truth]),
         }
+        tracks["hand"] = {"time": pack(_times(truth)), "position": pack([t.right_hand_position for t in truth])}
     elif log.messages[channels.MOCAP]:
         tracks["markers"] = _markers(log)
+        seen, hand = marker_track(log, hand_marker)
+        if len(seen):
+            tracks["hand"] = {"time": pack(seen), "position": pack(hand)}
     ball = _ball(log)
     if ball is not None:
         tracks["ball"] = ball

@@ -170,6 +170,7 @@ def _cut(name: str) -> Callable[[Path], object]:
         (_remove("configs/beta.yaml"), ("beta.yaml", "missing", "imolo compare")),
         (_write("configs/beta.yaml", "a: [b"), ("beta.yaml", "imolo compare")),
         (_write("configs/beta.yaml", "seeed: 1"), ("beta.yaml", "imolo compare")),
+        (_write("configs/beta.yaml", "{backend: {name: beta}, methods: {other: {}}}"), ("beta.yaml", "'paper'")),
         (_write("ball.json", "{}"), ("ball.json", "is damaged")),
         (_write("attribution.json", "nonsense"), ("attribution.json", "is damaged")),
         (_write("transfer.json", "{"), ("transfer.json", "is damaged")),

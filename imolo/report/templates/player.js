@@ -41,7 +41,7 @@ const offsets = (counts) => { let sum = 0; return counts.map((count) => { const 
 class TrialMotion {
   constructor(trial) {
     this.trial = trial;
-    for (const part of ["robot", "ball", "markers", "plans"]) {
+    for (const part of ["robot", "ball", "markers", "hand", "plans"]) {
       if (!trial[part]) continue;
       this[part] = {};
       for (const [key, value] of Object.entries(trial[part])) this[part][key] = value.data === undefined ? value : unpack(value);
@@ -73,7 +73,7 @@ class TrialMotion {
     return mixed(this.ball.position, between(this.ball.times, time));
   }
 
-  handAt(time) { return this.robot ? mixed(this.robot.hand, between(this.robot.times, time)) : null; }
+  handAt(time) { return this.hand ? mixed(this.hand.position, between(this.hand.times, time)) : null; }
 
   markersAt(time) {
     if (!this.markers) return [];
@@ -401,7 +401,7 @@ class Player {
       if (place) ball(place, layer, ghost ? 0.5 : 1, ghost ? tint : theme.ball);
       const from = motion.event.throw ?? 0, start = motion.event.onset ?? Infinity;
       own.push({ points: motion.way(motion.ball, "position", from, this.time), color: ghost ? tint : theme.ball, alpha: ghost ? 0.5 : 0.85, width: 2 });
-      own.push({ points: motion.way(motion.robot, "hand", start, this.time), color: tint, alpha: ghost ? 0.7 : 1, width: 3 });
+      own.push({ points: motion.way(motion.hand, "position", start, this.time), color: tint, alpha: ghost ? 0.7 : 1, width: 3 });
       // Later lines lie over earlier ones: those of the trial in front come last.
       ribbons.unshift(own);
       if (!plan) return;
