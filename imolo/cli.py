@@ -261,6 +261,28 @@ def attribute(
     console.print(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 
+@app.command()
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder that compare, hit, ball or attribute wrote.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Page to write.", show_default="report.html in the results folder")
+    ] = None,
+) -> None:
+    """Write a results folder as one HTML page: numbers, figures, 3-D replay of every trial, provenance.
+
+    The page needs no network, and links to the logs where they lie.
+    """
+    from imolo.report.page import write_report
+
+    with _Bars(lambda: "no page was written") as bars:
+        written = write_report(results, out or results / "report.html", bars.show)
+    if written.missing:
+        _complain(f"{len(written.missing)} logs are missing, first {written.missing[0]}; their trials have no replay")
+    console.print(
+        f"the page is {written.path} ({written.size / 1e6:.1f} MB)", highlight=False, markup=False, soft_wrap=True
+    )
+
+
 class _Bars:
     """Progress bars, one for each thing under way; Ctrl-C ends in one line that says how far things were."""
 

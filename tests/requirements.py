@@ -18,6 +18,7 @@ def _programs(package: str, *names: str) -> str:
 
 
 OPTIONAL = {
+    "chromium": lambda: _programs("chromium", "chromium"),
     "ode": lambda: backend_status("ode").problem,
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
     "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),

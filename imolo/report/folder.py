@@ -1,0 +1,170 @@
+"""Read a results folder for the report; what is damaged is named together with the way to get it again."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from imolo.backend import Trial, TrialKind
+from imolo.config.experiment import ExperimentConfig, explain
+from imolo.errors import ResultsError
+from imolo.experiment.campaign import log_name
+from imolo.experiment.comparison import Comparison, Timings
+from imolo.experiment.metrics import MethodResult, Statistic, TrialResult
+from imolo.experiment.results import ResultsFolder
+
+AGAIN = "run `imolo compare` again, or restore the file"
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class ReportedTrial:
+    """One ball of one method on one backend.
+
+    Attributes:
+        backend: Name.
+        method: Name.
+        result: As in the summary.
+        log_path: Its log, which may be missing.
+    """
+
+    backend: str
+    method: str
+    result: TrialResult
+    log_path: Path
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Balls that were thrown, and how that ended.
+
+    Attributes:
+        results: By backend, then by method.
+        configs: By backend.
+        config_texts: The YAML of each, as it lies in the folder.
+        trials: Every ball.
+        timings: None where the folder has none, as after `imolo hit`.
+        seed: Of all chance.
+        versions: Of the packages; empty where the folder does not tell.
+        digests: Hash of each config; empty where the folder does not tell.
+        disagreement: Of the hands of two backends [m]; empty where the folder does not tell.
+    """
+
+    results: dict[str, dict[str, MethodResult]]
+    configs: dict[str, ExperimentConfig]
+    config_texts: dict[str, str]
+    trials: tuple[ReportedTrial, ...]
+    timings: Timings | None
+    seed: int
+    versions: dict[str, str]
+    digests: dict[str, str]
+    disagreement: dict[str, Statistic]
+
+
+def read_campaign(path: Path) -> Campaign | None:
+    """Return the campaign of a results folder, of `imolo compare` or `imolo hit`; None if it has no summary.json.
+
+    Raises:
+        ResultsError: Something in it is damaged, or its configs are missing.
+    """
+    if not (path / "summary.json").exists():
+        return None
+    folder = ResultsFolder(path)
+    text = read_text(path / "summary.json")
+    configs, texts = _read_configs(path)
+    timings: Timings | None = None
+    if '"results"' in text:
+        summary = parse(Comparison, text, path / "summary.json")
+        results = summary.results
+        seed, versions, digests, disagreement = summary.seed, summary.versions, summary.configs, summary.disagreement
+        if (path / "timing.json").exists():
+            timings = parse(Timings, read_text(path / "timing.json"), path / "timing.json")
+    else:
+        # `imolo hit` plays one method on one backend and leaves their names to the folders.
+        backend, method = _only_group(path)
+        results = {backend: {method: parse(MethodResult, text, path / "summary.json")}}
+        seed, versions, digests, disagreement = configs[backend].seed if backend in configs else 0, {}, {}, {}
+    for backend, methods in results.items():
+        file = path / "configs" / f"{backend}.yaml"
+        if backend not in configs:
+            raise ResultsError(f"{file} is missing, but summary.json names it; {AGAIN}")
+        for method in methods:
+            if method not in configs[backend].methods:
+                raise ResultsError(f"{file} has no method {method!r}, but summary.json names it; {AGAIN}")
+    return Campaign(
+        results=results,
+        configs={backend: configs[backend] for backend in results},
+        config_texts={backend: texts[backend] for backend in results},
+        trials=tuple(_trials(folder, results, seed)),
+        timings=timings,
+        seed=seed,
+        versions=versions,
+        digests=digests,
+        disagreement=disagreement,
+    )
+
+
+def read_text(path: Path) -> str:
+    """Return what a file says.
+
+    Raises:
+        ResultsError: It cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ResultsError(f"cannot read {path}: {error.strerror}; {AGAIN}") from error
+    except UnicodeDecodeError as error:
+        raise ResultsError(f"{path} is no text: {error.reason} at byte {error.start}; {AGAIN}") from error
+
+
+def parse(model: type[Content], text: str, path: Path) -> Content:
+    """Return the content of a JSON file of ours.
+
+    Raises:
+        ResultsError: It is damaged, or of another version of imolo.
+    """
+    try:
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        reason = f"{place}: {first['msg']}" if place else first["msg"]
+        raise ResultsError(f"{path} is damaged: {reason}; {AGAIN}") from error
+
+
+def _read_configs(path: Path) -> tuple[dict[str, ExperimentConfig], dict[str, str]]:
+    """Read the resolved configs; their backends need not be installed here."""
+    configs: dict[str, ExperimentConfig] = {}
+    texts: dict[str, str] = {}
+    for file in sorted((path / "configs").glob("*.yaml")):
+        texts[file.stem] = read_text(file)
+        try:
+            configs[file.stem] = ExperimentConfig.model_validate(yaml.safe_load(texts[file.stem]))
+        except yaml.YAMLError as error:
+            raise ResultsError(f"{file} is damaged: {' '.join(str(error).split())}; {AGAIN}") from error
+        except ValidationError as error:
+            raise ResultsError(f"{explain(error, ExperimentConfig, f'{file} is damaged')}; {AGAIN}") from error
+    return configs, texts
+
+
+def _only_group(path: Path) -> tuple[str, str]:
+    groups = sorted({log.parent for log in (path / "logs").glob("*/*/hit_*.lcmlog")})
+    if len(groups) != 1:
+        raise ResultsError(
+            f"{path / 'summary.json'} is of one method on one backend, but the logs beside it are of {len(groups)}; "
+            "give each `imolo hit` an --out of its own"
+        )
+    return groups[0].parent.name, groups[0].name
+
+
+def _trials(folder: ResultsFolder, results: dict[str, dict[str, MethodResult]], seed: int) -> Iterator[ReportedTrial]:
+    for backend, methods in results.items():
+        for method, result in methods.items():
+            for trial in result.trials:
+                name = log_name(Trial(TrialKind.HIT, trial.trial, seed))
+                yield ReportedTrial(backend, method, trial, folder.hits(backend, method) / name)

@@ -1,0 +1,249 @@
+"""Write the page: templates, numbers, figures and motion in one file that asks nothing of a network."""
+
+import base64
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from imolo import __version__, channels
+from imolo.errors import ResultsError
+from imolo.experiment.figures import COLORS
+from imolo.experiment.metrics import HORIZONS, wilson_interval
+from imolo.experiment.summary import PAPER, millimetres
+from imolo.log import read_log
+from imolo.registry import describe_robot
+from imolo.report.folder import Campaign, ReportedTrial, read_campaign
+from imolo.report.robot_shapes import robot_shapes
+from imolo.report.sections import SECTIONS, Section
+from imolo.report.tracks import trial_tracks
+
+PICTURE_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+CAPTIONS = {
+    "trajectories": "Ball and right hand until the hit, for the last method.",
+    "pressures": "Pressures behind the valves in the last training motion; dashed: the targets.",
+    "reach": "Where the lookup table can bring the hand.",
+    "hit_rates": "Hit rates with their Wilson 95 % intervals.",
+    "waterfall": "What each swap explains of the disagreement.",
+    "ball": "Error and calibration against the lead time.",
+}
+OUTCOMES = {"hit": "hit", "missed": "miss", "no motion found": "none"}  # classes of the stylesheet
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of a report.
+
+    Attributes:
+        path: The page.
+        size: Of the page [bytes].
+        trials: Number of trials in it.
+        missing: Logs that are not there; their trials cannot be replayed.
+    """
+
+    path: Path
+    size: int
+    trials: int
+    missing: tuple[Path, ...]
+
+
+def write_report(folder: Path, out: Path, progress: Progress = lambda *_: None) -> Written:
+    """Write the page of a results folder.
+
+    Args:
+        folder: What `imolo compare`, `hit`, `ball` or `attribute` wrote.
+        out: File to write.
+        progress: Told how many logs were read.
+
+    Raises:
+        ResultsError: The folder holds no results, a file in it is damaged, or the page cannot be written.
+        BusError: A log is none.
+    """
+    if not folder.is_dir():
+        raise ResultsError(f"{folder} is no folder; `imolo compare --out {folder}` writes one")
+    campaign = read_campaign(folder)
+    sections = [section for section in SECTIONS if (folder / section.file).exists()]
+    if campaign is None and not sections:
+        raise ResultsError(
+            f"{folder} holds no summary.json and no other results; `imolo compare --out {folder}` writes them"
+        )
+    missing = tuple(t.log_path for t in campaign.trials if not t.log_path.exists()) if campaign else ()
+    shown = {name for section in sections for name in section.figures}
+    context: dict[str, Any] = {
+        "name": folder.resolve().name,
+        "version": __version__,
+        "sections": [_section(section, folder) for section in sections],
+        "figures": [_figure(path) for path in _pictures(folder / "figures") if f"figures/{path.name}" not in shown],
+        "campaign": None,
+        "data": None,
+    }
+    if campaign is not None:
+        context.update(_campaign(campaign, folder, out))
+        context["data"] = _as_script(_replay(campaign, out, progress))
+    page = _environment().get_template("page.html").render(context)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise ResultsError(f"cannot write {out}: {error.strerror}; choose another --out") from error
+    return Written(out, len(page.encode()), len(campaign.trials) if campaign else 0, missing)
+
+
+def _environment() -> Environment:
+    loader = PackageLoader("imolo.report")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+
+    def part(name: str) -> Markup:
+        """Return a script or stylesheet of ours as it is."""
+        return Markup(loader.get_source(environment, name)[0])
+
+    environment.globals["part"] = part
+    environment.filters["percent"] = lambda share: f"{100 * share:.0f}"
+    environment.filters["mm"] = lambda length: "–" if length is None else f"{1e3 * length:.0f}"
+    return environment
+
+
+def _as_script(content: Any) -> Markup:
+    """Return JSON that is safe inside a script element, whatever its strings hold."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def _section(section: Section, folder: Path) -> dict[str, Any]:
+    figures = [_figure(folder / name) for name in section.figures if (folder / name).exists()]
+    prepared = section.prepare(folder / section.file)
+    return {
+        "title": section.title,
+        "anchor": section.anchor,
+        "file": section.file,
+        "template": section.template,
+        "figures": figures,
+        **prepared,
+    }
+
+
+def _pictures(folder: Path) -> list[Path]:
+    known = list(CAPTIONS)
+    found = [path for path in folder.glob("*") if path.suffix in PICTURE_TYPES]
+    return sorted(found, key=lambda path: (known.index(path.stem) if path.stem in known else len(known), path.name))
+
+
+def _figure(path: Path) -> dict[str, Any]:
+    try:
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+    except OSError as error:
+        raise ResultsError(f"cannot read the figure {path}: {error.strerror}; remove it, or draw it again") from error
+    caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
+    return {"caption": caption, "source": f"data:{PICTURE_TYPES[path.suffix]};base64,{data}"}
+
+
+def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
+    methods = list(dict.fromkeys(method for by_method in campaign.results.values() for method in by_method))
+    return {
+        "campaign": campaign,
+        "colors": _colors(campaign),
+        "methods": methods,
+        "horizons": [f"{horizon:.2f}" for horizon in HORIZONS],
+        "millimetres": millimetres,
+        "paper": _paper(),
+        "trials": [_row(trial, out) for trial in campaign.trials],
+        "outcomes": OUTCOMES,
+        "commands": _commands(campaign, folder),
+        "balls": max((r.balls for by_method in campaign.results.values() for r in by_method.values()), default=0),
+    }
+
+
+def _colors(campaign: Campaign) -> dict[str, str]:
+    return {backend: COLORS[number % len(COLORS)] for number, backend in enumerate(campaign.results)}
+
+
+def _paper() -> dict[str, Any]:
+    """Return the paper's robot as a row of the summary (Sec. VII-C)."""
+    backend, method, hits, _, hand, *ball = PAPER
+    done, balls = (int(part) for part in hits.split("/"))
+    return {
+        "backend": backend,
+        "method": method,
+        "hits": done,
+        "balls": balls,
+        "interval": wilson_interval(done, balls),
+        "hand": hand,
+        "ball": ball[: len(HORIZONS)],
+    }
+
+
+def _row(trial: ReportedTrial, out: Path) -> dict[str, Any]:
+    return {
+        "id": _identity(trial),
+        "backend": trial.backend,
+        "method": trial.method,
+        "result": trial.result,
+        "outcome": OUTCOMES.get(trial.result.outcome, "none"),
+        "log": _link(trial.log_path, out) if trial.log_path.exists() else None,
+    }
+
+
+def _identity(trial: ReportedTrial) -> str:
+    return f"{trial.backend}/{trial.method}/{trial.result.trial}"
+
+
+def _relative(path: Path, out: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), out.resolve().parent)).as_posix()
+
+
+def _link(path: Path, out: Path) -> str:
+    # With ./ in front, since a colon in the first part would be read as a protocol.
+    return f"./{quote(_relative(path, out))}"
+
+
+def _commands(campaign: Campaign, folder: Path) -> list[tuple[str, str]]:
+    """Return what to type to get the same again; the resolved configs hold seed and number of balls."""
+    configs = " ".join(str(folder / "configs" / f"{backend}.yaml") for backend in campaign.configs)
+    report = [("This page", f"imolo report {folder}")]
+    if not campaign.digests:
+        return report
+    return [("The same results again, to the last digit", f"imolo compare {configs} --out AGAIN"), *report]
+
+
+def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]:
+    """Return what the player needs: the robot, and the motion of every trial whose log is there."""
+    trials = []
+    robots: set[str] = set()
+    # A page's player has one scene, and a comparison one robot.
+    for number, trial in enumerate(campaign.trials):
+        progress("logs", number, len(campaign.trials))
+        if trial.log_path.exists():
+            log = read_log(trial.log_path)
+            config = campaign.configs[trial.backend]
+            trials.append(
+                {
+                    "id": _identity(trial),
+                    "backend": trial.backend,
+                    "method": trial.method,
+                    "number": trial.result.trial,
+                    "outcome": trial.result.outcome,
+                    "path": _relative(trial.log_path, out),
+                    "voxel": config.methods[trial.method].grid.spacing,
+                    **trial_tracks(log, config.robot.hand_marker),
+                }
+            )
+            robots.update(event.robot for event in log.messages[channels.TRIAL] if event.robot)
+    progress("logs", len(campaign.trials), len(campaign.trials))
+    radius = next(iter(campaign.configs.values())).simulation.ball.radius
+    description = describe_robot(sorted(robots)[0]) if robots else None
+    return {
+        "robot": None if description is None else robot_shapes(description),
+        "radius": radius,
+        "colors": _colors(campaign),
+        "trials": trials,
+    }

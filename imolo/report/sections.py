@@ -1,0 +1,160 @@
+"""Further results that may lie in the folder; a new kind of them is one more line of `SECTIONS`."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imolo.ball.evaluation import PROTOCOLS, Evaluation
+from imolo.errors import ResultsError
+from imolo.experiment.attribution import Attribution
+from imolo.report.folder import parse, read_text
+
+Context = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A kind of results.
+
+    Attributes:
+        file: Name in the results folder; the section appears where it is there.
+        title: Heading.
+        prepare: Turns the file into what the template shows; raises ResultsError where it is damaged.
+        template: In the folder of templates.
+        figures: Beside the file, shown where they are there.
+    """
+
+    file: str
+    title: str
+    prepare: Callable[[Path], Context]
+    template: str = "table.html"
+    figures: tuple[str, ...] = ()
+
+    @property
+    def anchor(self) -> str:
+        """Where links in the page go."""
+        return Path(self.file).stem
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: its caption, titles of the columns, and rows of cells."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[Any]]
+
+
+def ball_tables(path: Path) -> Context:
+    """Return a table for each protocol of a rating of ball models."""
+    evaluation = parse(Evaluation, read_text(path), path)
+    columns = ("model", "lead s", "mean mm", "sd", "p95", "NEES/3", "inside", "n")
+    grids = []
+    for protocol in PROTOCOLS:
+        rows = [
+            (
+                rating.model,
+                f"{rating.horizon:g}",
+                *(f"{1e3 * value:.1f}" for value in (rating.mean, rating.sd, rating.quantiles[4])),
+                f"{rating.nees:.2f}",
+                f"{100 * rating.inside:.0f} %",
+                rating.count,
+            )
+            for rating in evaluation.ratings
+            if rating.protocol == protocol
+        ]
+        grids.append(
+            Grid(f"Error at the {protocol}" if protocol == "last point" else "Error at every sample", columns, rows)
+        )
+    note = (
+        f"{len(evaluation.flights)} flights of {evaluation.source}, leave-one-out. NEES over its dimension is 1 for a "
+        "right covariance, and 95 % lie inside the 95 % ellipsoid."
+    )
+    if evaluation.left_out:
+        note += f" {len(evaluation.left_out)} flights were left out, see {path.name}."
+    return {"note": note, "grids": grids}
+
+
+def attribution_tables(path: Path) -> Context:
+    """Return what each swap does alone, and what they explain one upon the other."""
+    answer = parse(Attribution, read_text(path), path)
+    alone = [
+        (
+            result.swap.ingredient,
+            result.swap.side,
+            result.swap.change,
+            _tenths(result.disagreement.mean),
+            _tenths(result.moved),
+        )
+        for result in answer.alone
+    ]
+    before = answer.start.mean or 0.0
+    kept = []
+    for result in answer.waterfall:
+        after = result.disagreement.mean or 0.0
+        kept.append(
+            (result.swap.ingredient, result.swap.side, result.swap.change, _tenths(after), _tenths(before - after))
+        )
+        before = after
+    kept.append(("not explained", "", "", _tenths(before), ""))
+    columns = ("ingredient", "side", "change", "hands mm")
+    return {
+        "note": f"{' and '.join(answer.backends)}: under the same {answer.motions} motions their hands are "
+        f"{_tenths(answer.start.mean)} mm apart. One thing was swapped at a time.",
+        "grids": [
+            Grid("One upon the other, the most helpful first", (*columns, "explains mm"), kept),
+            Grid("Each swap alone", (*columns, "moves the hand mm"), alone),
+        ],
+    }
+
+
+def any_tables(path: Path) -> Context:
+    """Return the numbers of any JSON file: lists of records as tables, single values as one."""
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as error:
+        raise ResultsError(f"{path} is damaged: {error}; remove it, or write it again") from error
+    grids: list[Grid] = []
+    _collect("", content, grids)
+    return {"note": "", "grids": grids}
+
+
+def _collect(name: str, content: Any, grids: list[Grid]) -> None:
+    if isinstance(content, list) and content and all(isinstance(entry, dict) for entry in content):
+        columns = tuple(dict.fromkeys(key for entry in content for key in entry))
+        grids.append(Grid(name, columns, [[_cell(entry.get(key)) for key in columns] for entry in content]))
+    elif isinstance(content, dict):
+        plain = {key: value for key, value in content.items() if not isinstance(value, dict | list) or _is_short(value)}
+        if plain:
+            grids.append(Grid(name, ("", ""), [(key, _cell(value)) for key, value in plain.items()]))
+        for key, value in content.items():
+            if key not in plain:
+                _collect(f"{name} / {key}" if name else str(key), value, grids)
+    else:
+        grids.append(Grid(name, ("",), [(_cell(content),)]))
+
+
+def _is_short(value: Any) -> bool:
+    return isinstance(value, list) and len(value) <= 6 and not any(isinstance(entry, dict | list) for entry in value)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _tenths(length: float | None) -> str:
+    return "–" if length is None else f"{1e3 * length:.1f}"
+
+
+SECTIONS = (
+    Section("ball.json", "Ball models", ball_tables, figures=("ball.png",)),
+    Section("attribution.json", "Why the engines differ", attribution_tables, figures=("figures/waterfall.png",)),
+    Section("interpolation.json", "Between the training motions", any_tables, figures=("figures/interpolation.png",)),
+    Section("transfer.json", "From one engine to another", any_tables, figures=("figures/transfer.png",)),
+)

@@ -1,0 +1,108 @@
+"""A results folder made by hand: two backends, two methods, three balls; its trials are a second long."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import lcm
+import yaml
+
+from imolo import channels
+from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.comparison import Comparison, Timing, Timings
+from imolo.experiment.metrics import Statistic, TrialResult, judge_campaign
+from imolo.experiment.results import ResultsFolder
+from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, truth_ball_t, truth_robot_t
+
+METHODS = ("paper", "improved")
+BALLS = 3
+END = 1_000_000  # [µs]
+
+
+def make_results(path: Path, backends: Iterable[str] = ("alpha", "beta"), outcome: str = "hit") -> ResultsFolder:
+    folder = ResultsFolder(path)
+    folder.prepare()
+    results: dict[str, Any] = {}
+    digests = {}
+    for backend in backends:
+        config = ExperimentConfig.model_validate({"backend": {"name": backend}})
+        digests[backend] = config.digest()
+        (path / "configs").mkdir(exist_ok=True)
+        (path / "configs" / f"{backend}.yaml").write_text(yaml.safe_dump(config.model_dump(mode="json")))
+        results[backend] = {
+            method: judge_campaign([_trial(ball, outcome) for ball in range(BALLS)]) for method in METHODS
+        }
+        for method in METHODS:
+            for ball in range(BALLS):
+                write_log(folder.hits(backend, method) / f"hit_{ball:03d}.lcmlog", ball)
+    speed = Timing(decision_median=2e-4, decision_p99=4e-4, real_time_factor=1.5)
+    folder.save_json(
+        "summary.json",
+        Comparison(
+            seed=7,
+            versions={"python": "3.11"},
+            configs=digests,
+            results=results,
+            disagreement={"alpha - beta": Statistic(mean=0.012, sd=0.003, count=15)},
+        ),
+    )
+    folder.save_json("timing.json", Timings(timing={name: dict.fromkeys(METHODS, speed) for name in results}))
+    folder.figures.mkdir(exist_ok=True)
+    (folder.figures / "reach.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
+    return folder
+
+
+def _trial(ball: int, outcome: str) -> TrialResult:
+    return TrialResult(
+        trial=ball,
+        hit=ball > 0,
+        outcome=outcome if ball > 0 else "no motion found",
+        theta=(0.1, 0.3) if ball > 0 else None,
+        updates=ball,
+        hand_error=0.0314 * ball if ball > 0 else None,
+        prediction_error={"0.25": 0.0123 + 0.01 * ball},
+    )
+
+
+def write_log(path: Path, ball: int, truth: bool = True) -> None:
+    """Write a trial in which the trunk rises 1 m, the ball comes 5 m nearer, and a plan is made at half the time."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log = lcm.EventLog(str(path), "w", overwrite=True)
+    for utime in range(0, END + 1, 4000):
+        share = utime / END
+        if truth:
+            robot = truth_robot_t()
+            robot.utime, robot.trunk_position, robot.trunk_quaternion = utime, (0.0, 0.0, share), (1.0, 0.0, 0.0, 0.0)
+            flight = truth_ball_t()
+            flight.utime, flight.true_ball_position = utime, (5.0 - 5.0 * share, 0.0, 1.5)
+            log.write_event(utime, channels.TRUTH_ROBOT, robot.encode())
+            log.write_event(utime, channels.TRUTH_BALL, flight.encode())
+        if utime % 8000 == 0:
+            log.write_event(utime, channels.MOCAP, _frame(utime, share).encode())
+    log.write_event(END // 2, channels.PLAN, _plan(END // 2).encode())
+    for name, utime in (("start", 0), ("throw", 100_000), ("hit", 900_000), ("end", END)):
+        event = trial_event_t()
+        event.utime, event.event, event.robot, event.trial = utime, name, "liberobot", ball
+        log.write_event(utime, channels.TRIAL, event.encode())
+    log.close()
+
+
+def _frame(utime: int, share: float) -> mocap_frame_t:
+    frame = mocap_frame_t()
+    frame.utime = utime
+    for label, position in ((6, (0.0, -0.16, share)), (marker_t.UNLABELLED, (5.0 - 5.0 * share, 0.0, 1.5))):
+        marker = marker_t()
+        marker.marker_id, marker.marker_position = label, position
+        frame.markers.append(marker)
+    frame.num_markers = len(frame.markers)
+    return frame
+
+
+def _plan(utime: int) -> plan_t:
+    plan = plan_t()
+    plan.utime, plan.state, plan.plan_onset_utime, plan.target_position = utime, plan_t.STARTED, utime, (1.0, -0.2, 1.6)
+    plan.prediction_step = 0.01
+    # The last of these are below the floor.
+    plan.predicted_position = [(2.0, 0.0, 1.5 - 0.02 * i) for i in range(90)]
+    plan.num_predictions = len(plan.predicted_position)
+    return plan

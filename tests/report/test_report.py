@@ -1,0 +1,232 @@
+"""The report: one page that holds all of a results folder and needs nothing else."""
+
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from results_folder import BALLS, METHODS, make_results
+
+from imolo.cli import main
+from imolo.errors import ImoloError
+from imolo.experiment.comparison import Comparison
+from imolo.experiment.metrics import wilson_interval
+from imolo.experiment.results import ResultsFolder
+from imolo.experiment.summary import millimetres
+from imolo.report.page import write_report
+from imolo.report.sections import any_tables
+
+
+class Page(HTMLParser):
+    """What a page refers to, its rows of trials, and its text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.source = path.read_text(encoding="utf-8")
+        self.references: list[tuple[str, str]] = []
+        self.trials: list[str] = []
+        self.tags: list[str] = []
+        self.tables: list[list[list[str]]] = []
+        self._cell: list[str] | None = None
+        self.feed(self.source)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        values = {name: value or "" for name, value in attrs}
+        self.references += [
+            (tag, values[name]) for name in ("src", "href", "srcset", "data", "action") if name in values
+        ]
+        if "data-trial" in values:
+            self.trials.append(values["data-trial"])
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self._cell = []
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th") and self._cell is not None:
+            self.tables[-1][-1].append(" ".join("".join(self._cell).split()))
+            self._cell = None
+
+    def handle_data(self, data: str) -> None:
+        if self._cell is not None:
+            self._cell.append(data)
+
+
+def replay(page: Page) -> dict:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page.source, flags=re.DOTALL)
+    assert found is not None
+    return json.loads(found.group(1))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
+    return make_results(tmp_path_factory.mktemp("results") / "with space")
+
+
+@pytest.fixture(scope="module")
+def page(folder: ResultsFolder) -> Page:
+    return Page(write_report(folder.path, folder.path / "report.html").path)
+
+
+def test_page_refers_to_nothing_but_itself_and_the_logs(page: Page, folder: ResultsFolder) -> None:
+    logs = 0
+    for tag, reference in page.references:
+        if tag == "a" and reference.startswith("./"):
+            assert (folder.path / unquote(reference)).is_file()
+            logs += 1
+        else:
+            assert reference.startswith(("data:", "#"))
+    assert logs == 2 * len(METHODS) * BALLS
+    assert not re.search(r"https?://|//[a-z]+\.[a-z]|@import|url\(", page.source)
+    assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|sendBeacon|importScripts|import)\s*\(", page.source)
+    assert "default-src 'none'" in page.source
+
+
+def test_page_holds_every_trial_once_and_can_replay_it(page: Page) -> None:
+    expected = {
+        f"{backend}/{method}/{ball}" for backend in ("alpha", "beta") for method in METHODS for ball in range(BALLS)
+    }
+    assert sorted(page.trials) == sorted(expected)
+    assert sorted(trial["id"] for trial in replay(page)["trials"]) == sorted(expected)
+
+
+def test_numbers_are_those_of_the_summary(page: Page, folder: ResultsFolder) -> None:
+    summary = Comparison.model_validate_json((folder.path / "summary.json").read_text())
+    rows = [row for row in page.tables[0] if row[1:2] and row[1] in METHODS]
+    *ours, paper = rows
+    results = [
+        (name, method, result) for name, methods in summary.results.items() for method, result in methods.items()
+    ]
+    for row, (backend, method, result) in zip(ours, results, strict=True):
+        low, high = wilson_interval(result.hits, result.balls)
+        assert row[:3] == [backend, method, f"{result.hits}/{result.balls}"]
+        assert row[4:6] == [f"{100 * low:.0f}–{100 * high:.0f} %", millimetres(result.hand_error)]
+        assert row[6:9] == [millimetres(result.prediction_error[key]) for key in ("0.25", "0.50", "0.75")]
+        assert row[9:] == ["0.20", "1.5"]
+    assert paper[:3] == ["robot", "paper", "16/20"]
+    trials = [trial for _, _, result in results for trial in result.trials]
+    listed = [row for row in page.tables[2] if row[1:2] and row[1] in summary.results]
+    for row, trial in zip(listed, trials, strict=True):
+        hand = "–" if trial.hand_error is None else f"{1e3 * trial.hand_error:.0f}"
+        assert row[3:7] == [f"ball {trial.trial}", trial.outcome, hand, f"{1e3 * trial.prediction_error['0.25']:.0f}"]
+
+
+def test_provenance_names_seed_digests_versions_and_the_command(page: Page, folder: ResultsFolder) -> None:
+    summary = Comparison.model_validate_json((folder.path / "summary.json").read_text())
+    for text in (*summary.configs.values(), "imolo compare", "3.11", "observation_time: 0.1", "seed 7"):
+        assert text in page.source
+
+
+def test_names_and_outcomes_are_escaped(tmp_path: Path) -> None:
+    evil = "<img src=x onerror=alert(1)>"
+    folder = make_results(tmp_path / "results", backends=(evil,), outcome="</script><b>")
+    (folder.path / "transfer.json").write_text(json.dumps({evil: [{"name": evil}]}))
+    page = Page(write_report(folder.path, tmp_path / "report.html").path)
+    assert evil not in page.source
+    assert "</script><b>" not in page.source
+    assert page.tags.count("img") == 1  # the figure
+    assert replay(page)["trials"][1]["outcome"] == "</script><b>"
+
+
+def test_other_results_become_sections(folder: ResultsFolder, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    rows = [{"from": "alpha", "to": "beta", "hits": 17, "rate": 0.85}, {"from": "beta", "to": "alpha", "hits": None}]
+    (alone / "transfer.json").write_text(json.dumps({"seed": 1, "pairs": rows}))
+    page = Page(write_report(alone, tmp_path / "report.html").path)
+    assert page.tables == [
+        [["", ""], ["seed", "1"]],
+        [["from", "to", "hits", "rate"], ["alpha", "beta", "17", "0.85"], ["beta", "alpha", "–", "–"]],
+    ]
+    assert "replay" not in {reference for _, reference in page.references}
+    assert len(any_tables(alone / "transfer.json")["grids"]) == 2
+
+
+def _remove(name: str) -> Callable[[Path], object]:
+    return lambda path: (path / name).unlink()
+
+
+def _write(name: str, text: str) -> Callable[[Path], object]:
+    return lambda path: (path / name).write_text(text)
+
+
+def _cut(name: str) -> Callable[[Path], object]:
+    return lambda path: (path / name).write_text((path / name).read_text()[:200])
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (_remove("summary.json"), ("summary.json", "imolo compare")),
+        (_cut("summary.json"), ("summary.json", "imolo compare")),
+        (_write("summary.json", '{"results": {}}'), ("summary.json", "seed", "imolo compare")),
+        (_cut("timing.json"), ("timing.json", "imolo compare")),
+        (_remove("configs/beta.yaml"), ("beta.yaml", "missing", "imolo compare")),
+        (_write("configs/beta.yaml", "a: [b"), ("beta.yaml", "imolo compare")),
+        (_write("configs/beta.yaml", "seeed: 1"), ("beta.yaml", "imolo compare")),
+        (_write("configs/beta.yaml", "{backend: {name: beta}, methods: {other: {}}}"), ("beta.yaml", "'paper'")),
+        (_write("ball.json", "{}"), ("ball.json", "is damaged")),
+        (_write("attribution.json", "nonsense"), ("attribution.json", "is damaged")),
+        (_write("transfer.json", "{"), ("transfer.json", "is damaged")),
+        (_write("logs/beta/paper/hit_001.lcmlog", "no log at all"), ("hit_001.lcmlog",)),
+    ],
+)
+def test_damage_is_told_in_one_line_with_file_and_fix(
+    tmp_path: Path, damage: Callable[[Path], object], named: tuple[str, ...]
+) -> None:
+    folder = make_results(tmp_path / "results")
+    damage(folder.path)
+    with pytest.raises(ImoloError) as raised:
+        write_report(folder.path, tmp_path / "report.html")
+    assert "\n" not in str(raised.value)
+    assert all(part in str(raised.value) for part in named)
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize("make", [False, True])
+def test_folder_without_results_is_refused_with_the_command_that_makes_them(tmp_path: Path, make: bool) -> None:
+    path = tmp_path / "nothing"
+    if make:
+        path.mkdir()
+    with pytest.raises(ImoloError, match=r"nothing.*imolo compare --out"):
+        write_report(path, tmp_path / "report.html")
+
+
+def test_trial_without_its_log_is_listed_but_cannot_be_replayed(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "results")
+    gone = folder.hits("alpha", "paper") / "hit_002.lcmlog"
+    gone.unlink()
+    written = write_report(folder.path, tmp_path / "report.html")
+    page = Page(written.path)
+    assert written.missing == (gone,)
+    assert "alpha/paper/2" in page.trials
+    assert "alpha/paper/2" not in {trial["id"] for trial in replay(page)["trials"]}
+
+
+def test_results_of_one_method_are_read_as_imolo_hit_writes_them(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "results", backends=("alpha",))
+    summary = Comparison.model_validate_json((folder.path / "summary.json").read_text())
+    folder.save_json("summary.json", summary.results["alpha"]["paper"])
+    (folder.path / "timing.json").unlink()
+    for log in folder.hits("alpha", "improved").iterdir():
+        log.unlink()
+    page = Page(write_report(folder.path, tmp_path / "report.html").path)
+    assert page.trials == [f"alpha/paper/{ball}" for ball in range(BALLS)]
+
+
+def test_command_writes_into_the_results_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_results(tmp_path / "results")
+    monkeypatch.setattr("sys.argv", ["imolo", "report", str(folder.path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code in (0, None)
+    assert f"the page is {folder.path / 'report.html'}" in capsys.readouterr().out
+    assert (folder.path / "report.html").is_file()

@@ -1,0 +1,88 @@
+"""Motion in a page: thinned, quantised, and taken from the markers where there is no truth."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from results_folder import END, write_log
+
+from imolo.backend import RobotDescription
+from imolo.errors import ResultsError
+from imolo.log import read_log
+from imolo.registry import describe_robot
+from imolo.report.robot_shapes import robot_shapes
+from imolo.report.tracks import PATH_STEP, RATE, STEPS, pack, trial_tracks, unpack
+from imolo_backends.urdf import read_urdf
+
+HAND = 6  # label of the hand in the logs made by hand
+
+# Below this a step of the largest number over 32767 is no normal number any more.
+NUMBERS = st.floats(-1e3, 1e3).filter(lambda value: value == 0.0 or abs(value) > 1e-290)
+
+
+@given(st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), max_size=20))
+def test_packed_numbers_are_right_to_half_a_step(rows: list[tuple[float, float, float]]) -> None:
+    values = np.array(rows, dtype=float).reshape(-1, 3)
+    largest = np.abs(values).max(initial=0.0)
+    back = unpack(pack(values))
+    assert back.shape == values.shape
+    # Half a step, and the rounding of a division and a product.
+    assert np.all(np.abs(back - values) <= (0.5 / STEPS + 4e-16) * largest)
+
+
+def test_poses_are_thinned_but_reach_from_the_first_to_the_last(tmp_path: Path) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0)
+    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)
+    time = unpack(tracks["robot"]["time"])
+    step = tracks["robot"]["time"]["step"]
+    assert abs(time[0]) <= step
+    assert abs(time[-1] - END * 1e-6) <= step
+    assert np.all(np.diff(time)[:-1] >= 1.0 / RATE - 1e-4 - step)
+    height = unpack(tracks["robot"]["position"])[:, 2]
+    # The trunk rises at 1 m/s, so its height is the time.
+    assert np.all(np.abs(height - time) <= 0.5 * (step + tracks["robot"]["position"]["step"]) + 1e-12)
+
+
+def test_predicted_path_ends_at_the_floor(tmp_path: Path) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0)
+    plans = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)["plans"]
+    path = unpack(plans["path"])
+    every = round(PATH_STEP / 0.01)
+    above = [1.5 - 0.02 * i for i in range(90) if 1.5 - 0.02 * i >= -1e-9]
+    assert plans["count"] == [len(path)] == [len(above[::every])]
+    assert path[:, 2].min() >= -plans["path"]["step"]
+
+
+def test_log_without_truth_shows_its_markers(tmp_path: Path) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0, truth=False)
+    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)
+    assert "robot" not in tracks
+    time = unpack(tracks["markers"]["time"])
+    assert tracks["markers"]["count"] == [1] * len(time)  # the ball is no marker of the robot
+    position = unpack(tracks["markers"]["position"])
+    assert np.all(np.abs(position[:, 2] - time) <= tracks["markers"]["position"]["step"])
+    hand = unpack(tracks["hand"]["position"])
+    assert np.all(np.abs(hand[:, 2] - unpack(tracks["hand"]["time"])) <= tracks["hand"]["position"]["step"])
+
+
+def test_shapes_are_those_of_the_urdf_with_parents_first() -> None:
+    description = describe_robot("liberobot")
+    assert isinstance(description, RobotDescription)
+    links = robot_shapes(description)["links"]
+    model = read_urdf(description.urdf)
+    assert len(links) == len(model.links)
+    assert all(link["parent"] < number for number, link in enumerate(links))
+    joints = {link["angle"]: link for link in links[1:]}
+    for number, name in enumerate(description.joint_names):
+        joint = model.joints[name]
+        assert joints[number]["at"] == joint.position.tolist()
+        assert joints[number]["axis"] == joint.axis.tolist()
+    assert sum(len(link["shapes"]) for link in links) == description.urdf.read_text().count("<visual>")
+
+
+def test_broken_urdf_is_named(tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text("<robot>")
+    with pytest.raises(ResultsError, match=r"robot\.urdf"):
+        robot_shapes(RobotDescription(name="robot", urdf=tmp_path / "robot.urdf", joint_names=()))
