@@ -3,8 +3,8 @@
 A miss has one cause, the first of these that holds:
 
 * ball not seen: the tracker never followed the ball, or it was out of sight when the hand was to meet it.
-* late start, without a motion: when the planner might first start one, the predicted path did pass grid points of the
-  table, but the ball would have been at every one of them sooner than the fastest motion there. Without the table at
+* late start, without a motion: the first predicted path that passed grid points of the table, of those after which the
+  planner might start, had the ball at every one of them sooner than the fastest motion there. Without the table at
   hand: the ball ended sooner than the fastest motion of the grid. Or the ball was gone before the planner might start.
 * no table entry: any other ball without a motion.
 * late start, with a motion: it began more than Δt/2, the table's tolerance in time, after the onset it was planned for.
@@ -133,21 +133,26 @@ def _cause_of_no_motion(log: Log, method: MethodConfig, table: LookupTable | Non
     if not predicted:
         return Cause.UNSEEN
     allowed = predicted[0].utime + method.planner.observation_time * 1e6
-    asked = next((plan for plan in predicted if plan.utime >= allowed), None)
-    if asked is None:
+    asked = [plan for plan in predicted if plan.utime >= allowed]
+    if not asked:
         return Cause.LATE
-    path, times = _path(asked)
-    available = times - method.planner.lead_time
     tolerance = 0.5 * method.grid.time_tolerance
     if table is not None:
-        passed = [(table.times_at(point), time) for point, time in zip(path, available, strict=True)]
-        fastest = [float(entries.min() - time) for entries, time in passed if len(entries)]
-        return Cause.LATE if fastest and min(fastest) > tolerance else Cause.NO_ENTRY
+        lateness = next(filter(len, (_lateness(plan, method, table) for plan in asked)), ())
+        return Cause.LATE if lateness and min(lateness) > tolerance else Cause.NO_ENTRY
     ended = _end(log)
     end = predicted[-1].utime if ended is None else ended
-    left = (end - asked.utime) * 1e-6 - method.planner.lead_time
+    left = (end - asked[0].utime) * 1e-6 - method.planner.lead_time
     shortest = method.grid.t_w.start + method.grid.time_since_swing.start
     return Cause.LATE if shortest - left > tolerance else Cause.NO_ENTRY
+
+
+def _lateness(plan: plan_t, method: MethodConfig, table: LookupTable) -> tuple[float, ...]:
+    """Return by how much the fastest motion to each stored grid point of a predicted path comes after the ball [s]."""
+    path, times = _path(plan)
+    since_onset = times - method.planner.lead_time
+    entries = ((table.times_at(point), time) for point, time in zip(path, since_onset, strict=True))
+    return tuple(float(found.min() - time) for found, time in entries if len(found))
 
 
 def _start_delay(log: Log, plan: plan_t) -> float:

@@ -60,10 +60,10 @@ def findings(study: InterpolationStudy) -> list[tuple[str, str]]:
         found.append(
             (
                 name,
-                f"why: with {most} trials the paper's SVR is off by {off['paper']:.0f} mm on other motions. Its kernel of "
-                "width 1.0 takes raw inputs, so that t_w and t, which span 0.2 and 0.3 s, hardly count beside k, which "
-                f"spans 2, and C = 0.1427 lets no sample pull far. On standardised inputs it is off by "
-                f"{off[STANDARDIZED]:.0f} mm, with C = 10 by {off[LOOSE]:.0f} mm; GPR is off by {off['improved']:.0f} mm.",
+                f"why: with {most} trials the paper's SVR is off by {off['paper']:.0f} mm on other motions. Its kernel "
+                "of width 1.0 takes raw inputs, so that t_w and t, which span 0.2 and 0.3 s, hardly count beside k, "
+                "which spans 2, and C = 0.1427 lets no sample pull far. On standardised inputs it is off by "
+                f"{off[STANDARDIZED]:.0f} mm, with C = 10 by {off[LOOSE]:.0f} mm; GPR by {off['improved']:.0f} mm.",
             )
         )
     return found
@@ -169,10 +169,10 @@ def _draw_bars(axes: Axes, result: Interpolation) -> None:
             stars = _stars(p) if (p := result.test(n, model).p) is not None else ""
             if not stars:
                 continue
-            height = top + (number - 0.5) * step
+            height = top + (1.2 * number - 0.7) * step
             start = place - 0.5 * (len(VARIANTS) - 1) * width
             axes.plot([start, start + number * width], [height, height], color="#333333", lw=0.8)
-            axes.text(start + 0.5 * number * width, height, stars, ha="center", va="center_baseline", fontsize=9)
+            axes.text(start + 0.5 * number * width, height - 0.2 * step, stars, ha="center", fontsize=9)
     axes.set_xticks(places, [f"$N_t$ = {n}" for n in trials])
-    axes.set_ylim(0.0, float(tops.max()) + 3.0 * step)
+    axes.set_ylim(0.0, float(tops.max()) + 3.5 * step)
     axes.grid(axis="x", visible=False)

@@ -1,6 +1,8 @@
 """Fig. 7 on a backend: record a pool of motions, let the tables choose, and execute what they chose."""
 
-from collections.abc import Callable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -148,8 +150,20 @@ def _study_one(
 def _answer(number: int, problem: Problem, pool: Sequence[Recording], window: Window) -> tuple[int, Answer]:
     leave_interrupts_to_the_parent()
     # One thread, so that the sums do not depend on the number of cores.
-    with threadpool_limits(limits=1):
+    with threadpool_limits(limits=1), _without_warnings_of_fits():
         return number, answer(problem, pool, window, GRID)
+
+
+@contextmanager
+def _without_warnings_of_fits() -> Iterator[None]:
+    # Hundreds of fits to noiseless motions; that the noise they find is next to nothing is as it should be.
+    logger = logging.getLogger("imolo.method.regressors")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _without_chance(config: ExperimentConfig) -> ExperimentConfig:
