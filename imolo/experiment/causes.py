@@ -160,7 +160,7 @@ def _start_delay(log: Log, plan: plan_t) -> float:
     onset = next((event.utime for event in log.messages[channels.TRIAL] if event.event == EventName.ONSET), None)
     if onset is None:
         onset = next(iter(log.received[channels.VALVE_COMMAND]), plan.plan_onset_utime)
-    return (onset - plan.plan_onset_utime) * 1e-6
+    return float(onset - plan.plan_onset_utime) * 1e-6
 
 
 def _known_miss(log: Log, method: MethodConfig) -> float | None:
