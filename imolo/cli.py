@@ -187,6 +187,7 @@ def hit(
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_json("summary.json", results[name][method])
     console.print(summary.render_results(results, timing))
+    console.print(summary.render_causes(results))
     console.print(f"logs, config and summary.json are in {out}")
 
 
@@ -231,6 +232,34 @@ def ball(
     folder.save_json("ball.json", result)
     ball_report.draw_evaluation(result, out / "ball.png")
     console.print(f"ball.json and ball.png are in {out}")
+
+
+@app.command()
+def interpolation(
+    configs: ConfigPaths = None,
+    repetitions: Annotated[int, typer.Option(min=2, help="For each number of trials; the paper's are 100.")] = 100,
+    trials: Annotated[str, typer.Option(help="Numbers of training trials, with commas.")] = "8,16,24",
+    pool: Annotated[int, typer.Option(min=2, help="Random motions that queries and trials are drawn from.")] = 200,
+    out: Out = Path("results/interpolation"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Test whether nonlinear interpolation brings the hand nearer to where it should be (Sec. VI, Fig. 7).
+
+    Takes some minutes for each backend; --repetitions 20 --pool 60 gives a quick look. Writes logs, interpolation.json
+    and interpolation.png to the results folder.
+    """
+    from imolo.experiment import interpolation_report, interpolation_study
+    from imolo.experiment.results import ResultsFolder
+
+    numbers = interpolation_report.parse_trials(trials)
+    chosen = [_override(config, seed, None) for config in _load_all(configs)]
+    folder = ResultsFolder(out)
+    with _Bars(_kept_in(out)) as bars:
+        result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
+    console.print(interpolation_report.render_study(result))
+    folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
+    console.print(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
 @app.command()

@@ -22,7 +22,7 @@ from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
 COMMANDS = (
-    *("backends", "check", "attribute", "compare", "learn", "hit", "ball", "report"),
+    *("backends", "check", "attribute", "compare", "learn", "hit", "ball", "interpolation", "report"),
     *("spy", "top", "replay", "diff", "export", "plot", "view"),
     *("backend", "planner", "record", "throw", "up"),
 )

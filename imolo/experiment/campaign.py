@@ -31,6 +31,7 @@ class TrialTask:
         log_path: Log to write.
         method: Name of the method that plans; empty where nothing is planned.
         table_path: Its table; None where nothing is planned.
+        duration: Of a training motion's trial [s]; until its last sample if not given.
     """
 
     config: ExperimentConfig
@@ -38,6 +39,7 @@ class TrialTask:
     log_path: Path
     method: str = ""
     table_path: Path | None = None
+    duration: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def run_task(task: TrialTask) -> TrialTiming:
     if trial.kind is TrialKind.TRAINING:
         theta = config.training.motions[trial.index]
         controller = MotionPlayer(config.motion, theta)
-        duration = START_MARGIN + theta.t_w + config.training.sampled_to
+        duration = task.duration or START_MARGIN + theta.t_w + config.training.sampled_to
     elif task.table_path is not None:
         table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)

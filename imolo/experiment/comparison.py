@@ -20,10 +20,11 @@ from imolo.experiment.campaign import (
     hit_tasks,
     learning_tasks,
     leave_interrupts_to_the_parent,
+    load_learned,
     run_tasks,
 )
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
-from imolo.experiment.metrics import MethodResult, Statistic, judge_campaign, judge_trial
+from imolo.experiment.metrics import MethodResult, Statistic, TrialResult, judge_campaign, judge_trial
 from imolo.experiment.recordings import hand_in_swing
 from imolo.experiment.results import ResultsFolder, installed_versions
 from imolo.log import read_log
@@ -179,10 +180,16 @@ def hit(
     results: dict[str, dict[str, MethodResult]] = {name: {} for name, _ in tables}
     timing: dict[str, dict[str, Timing]] = {name: {} for name, _ in tables}
     for (name, method), group in tasks.items():
-        trials = [judge_trial(read_log(task.log_path), named[name]) for task in group]
+        trials = Parallel(n_jobs=jobs)(delayed(_judge)(task) for task in group)
         results[name][method] = judge_campaign(trials)
         timing[name][method] = _timing(timings[name, method])
     return results, timing
+
+
+def _judge(task: TrialTask) -> TrialResult:
+    leave_interrupts_to_the_parent()
+    table = None if task.table_path is None else load_learned(task.table_path, task.config.robot.name)[0]
+    return judge_trial(read_log(task.log_path), task.config, task.config.methods[task.method], table)
 
 
 def _run_groups(

@@ -9,10 +9,12 @@ from pydantic import BaseModel, ConfigDict
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.experiment import ExperimentConfig, MethodConfig
 from imolo.errors import BusError
+from imolo.experiment.causes import Cause, distance_of_ball, find_cause, throw_position
 from imolo.experiment.recordings import hand_at, last_plan, nearest_unlabelled
 from imolo.log import Log
+from imolo.method.table import LookupTable
 from imolo_msgs import plan_t
 
 Array = NDArray[np.float64]
@@ -32,6 +34,10 @@ class TrialResult(BaseModel):
         hand_error: Distance between the selected grid point and the hand when it was to be there [m]; None without a
             motion or if the hand was not seen.
         prediction_error: Distance between the ball where it ended and where it had been predicted, by lead time [m].
+        cause: Why it was missed, one of `causes.Cause`; None if it was hit.
+        ball_error: Distance between the selected grid point and the ball when the hand was to be there [m]; None
+            without a motion or if the ball was not seen.
+        thrown_from: Which of the thrower's positions it came from, counted from 0; None if the ball was not seen.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -43,6 +49,9 @@ class TrialResult(BaseModel):
     updates: int
     hand_error: float | None
     prediction_error: dict[str, float]
+    cause: str | None = None
+    ball_error: float | None = None
+    thrown_from: int | None = None
 
 
 class Statistic(BaseModel):
@@ -63,6 +72,24 @@ class Statistic(BaseModel):
         return cls(mean=float(np.mean(values)), sd=spread, count=len(values))
 
 
+class PositionResult(BaseModel):
+    """The balls from one position of the thrower.
+
+    Attributes:
+        thrown_from: Which position, counted from 0; -1 for balls that were not seen.
+        hits: Number of balls that were hit.
+        balls: Number of balls.
+        interval: Wilson 95 % interval of the hit rate.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    thrown_from: int
+    hits: int
+    balls: int
+    interval: tuple[float, float]
+
+
 class MethodResult(BaseModel):
     """One method on one backend.
 
@@ -74,6 +101,8 @@ class MethodResult(BaseModel):
         hand_error: Of all trials with a motion [m].
         prediction_error: By lead time [m].
         trials: Ball by ball.
+        causes: How many balls were missed for each of `causes.Cause`, zeros included.
+        positions: The hits by position of the thrower.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -85,10 +114,20 @@ class MethodResult(BaseModel):
     hand_error: Statistic
     prediction_error: dict[str, Statistic]
     trials: tuple[TrialResult, ...]
+    causes: dict[str, int] = {}
+    positions: tuple[PositionResult, ...] = ()
 
 
-def judge_trial(log: Log, config: ExperimentConfig) -> TrialResult:
+def judge_trial(
+    log: Log, config: ExperimentConfig, method: MethodConfig | None = None, table: LookupTable | None = None
+) -> TrialResult:
     """Judge one ball by its log.
+
+    Args:
+        log: Of the trial.
+        config: Of the experiment.
+        method: That planned; the paper's if not given.
+        table: That it planned with, to tell a late start from a missing entry; see `causes`.
 
     Raises:
         BusError: The log holds no trial.
@@ -105,14 +144,20 @@ def judge_trial(log: Log, config: ExperimentConfig) -> TrialResult:
     updates = sum(message.state == plan_t.UPDATED for message in log.messages[channels.PLAN])
     end_names = (EventName.HIT, EventName.BALL_LANDED)
     end = next((event.utime for event in events if event.event in end_names), None)
+    hand_error = None if plan is None else _hand_error(log, plan, config.robot.hand_marker)
+    ball_error = None if plan is None else distance_of_ball(log, plan)
+    cause = None if hit else find_cause(log, config, method or MethodConfig(), table, hand_error, ball_error)
     return TrialResult(
         trial=events[0].trial,
         hit=hit,
         outcome=outcome,
         theta=None if plan is None else (plan.theta[0], plan.theta[1]),
         updates=updates,
-        hand_error=None if plan is None else _hand_error(log, plan, config.robot.hand_marker),
+        hand_error=hand_error,
         prediction_error={} if end is None else _prediction_errors(log, end),
+        cause=cause,
+        ball_error=ball_error,
+        thrown_from=throw_position(log, config),
     )
 
 
@@ -130,6 +175,8 @@ def judge_campaign(trials: Sequence[TrialResult]) -> MethodResult:
             key: Statistic.of([t.prediction_error[key] for t in trials if key in t.prediction_error]) for key in keys
         },
         trials=tuple(trials),
+        causes={cause.value: sum(trial.cause == cause for trial in trials) for cause in Cause},
+        positions=_by_position(trials),
     )
 
 
@@ -144,6 +191,18 @@ def wilson_interval(successes: int, total: int, z: float = 1.959963984540054) ->
     low = 0.0 if successes == 0 else center - half
     high = 1.0 if successes == total else center + half
     return low, high
+
+
+def _by_position(trials: Sequence[TrialResult]) -> tuple[PositionResult, ...]:
+    groups: dict[int, list[bool]] = {}
+    for trial in trials:
+        groups.setdefault(-1 if trial.thrown_from is None else trial.thrown_from, []).append(trial.hit)
+    return tuple(
+        PositionResult(
+            thrown_from=place, hits=sum(hits), balls=len(hits), interval=wilson_interval(sum(hits), len(hits))
+        )
+        for place, hits in sorted(groups.items())
+    )
 
 
 def _hand_error(log: Log, plan: plan_t, hand_marker: int) -> float | None:

@@ -8,8 +8,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from imolo.experiment.attribution import Attribution, SwapResult
+from imolo.experiment.causes import Cause
 from imolo.experiment.comparison import Comparison, Timing
-from imolo.experiment.metrics import HORIZONS, MethodResult, Statistic
+from imolo.experiment.metrics import HORIZONS, MethodResult, PositionResult, Statistic
 
 PAPER = ("robot", "paper", "16/20", "58-92", "13±9", "46±34", "156±32", "338±36", "-", "-")  # Sec. VII-C
 STYLE: Any = {"box": box.SIMPLE_HEAD, "title_justify": "left", "caption_justify": "left", "padding": 0}
@@ -26,7 +27,11 @@ Timings = Mapping[str, Mapping[str, Timing]]
 
 def render_comparison(comparison: Comparison, timing: Timings) -> RenderableType:
     """Return the tables of a comparison."""
-    return Group(render_results(comparison.results, timing), render_disagreement(comparison.disagreement))
+    return Group(
+        render_results(comparison.results, timing),
+        render_causes(comparison.results),
+        render_disagreement(comparison.disagreement),
+    )
 
 
 def render_results(results: Results, timing: Timings) -> Table:
@@ -58,6 +63,33 @@ def render_results(results: Results, timing: Timings) -> Table:
         table.add_section()
     table.add_row(*PAPER, style="italic")
     return table
+
+
+def render_causes(results: Results) -> Table:
+    """Return how often each cause made a miss, and how many balls from each position were hit."""
+    table = Table(
+        title="Why balls were missed, and hits by the position they were thrown from (Wilson 95 %)",
+        caption="Causes are defined in docs/experiments.md; they are told from the logs alone.",
+        **STYLE,
+    )
+    for title in ("backend", "method"):
+        table.add_column(title, no_wrap=True, min_width=8)
+    causes = [str(cause) for cause in Cause if any(r.causes.get(cause) for m in results.values() for r in m.values())]
+    for title in ("missed", *(cause.replace(" ", "\n") for cause in causes), "from each position"):
+        table.add_column(title, justify="right")
+    for backend, methods in results.items():
+        for method, result in methods.items():
+            counts = [str(result.causes.get(cause, 0)) for cause in causes]
+            places = "\n".join(_position(place) for place in result.positions)
+            table.add_row(backend, method, str(result.balls - result.hits), *counts, places)
+        table.add_section()
+    return table
+
+
+def _position(place: PositionResult) -> str:
+    name = "unseen" if place.thrown_from < 0 else f"{place.thrown_from + 1}"
+    low, high = place.interval
+    return f"{name}: {place.hits}/{place.balls} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 def render_disagreement(disagreement: Mapping[str, Statistic]) -> Table:

@@ -234,6 +234,20 @@ class LookupTable:
             raise ValueError(f"positions have shape {path.shape}, times {when.shape}; give (N, 3) and (N,)")
         return self._search(path, when, executed)
 
+    def times_at(self, position: ArrayLike) -> Array:
+        """Return when the stored motions bring the hand to a position, since the onset [s], shape (N,).
+
+        Args:
+            position: In the world frame [m], shape (3,); it belongs to its nearest grid point if it matches that.
+        """
+        point = np.asarray(position, dtype=np.float64)
+        cell = np.floor(point / self._spacing + 0.5)
+        index = cell - self._box[:3]
+        if not (np.linalg.norm(point - cell * self._spacing) < self._reach and _inside(index, self._box[3:])):
+            return np.empty(0)
+        flat = int(_flat_index(cell.astype(np.int64)[None], self._box)[0])
+        return self.time[self._cell_start[flat] : self._cell_start[flat + 1]]
+
     def _search(self, path: Array, when: Array, executed: Executed | None) -> TableHit | None:
         executed_k, executed_switch, elapsed = math.nan, math.nan, -1.0
         if executed is not None:
@@ -324,6 +338,10 @@ def _nearest_grid_point(position: Array, spacing: float) -> Indices:
             f"spacing above {spacing:g} m or a forward model that does not diverge"
         )
     return nearest.astype(np.int64)
+
+
+def _inside(index: Array, size: Indices) -> bool:
+    return bool(np.all((index >= 0) & (index < size)))
 
 
 def _flat_index(cell: Indices, box: Indices) -> Indices:
