@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 from scipy.stats import chi2
 
-from imolo.ball.aerodynamic_kernel import fly, normal_equations, transition
+from imolo.ball.aerodynamic_kernel import fly, normal_equations, position_covariances, transition
 from imolo.ball.model import PredictionError
 from imolo.config.model import Model, Positive
 from imolo.errors import TableFileError
@@ -122,6 +122,11 @@ class AerodynamicBallModel:
         for i in range(steps):
             state, covariance = self.propagate(state, covariance, self.time_step)
             predicted[i] = covariance
+        return predicted
+
+    def position_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
+        """Return the covariances of the positions of `predict` [m²], shape (steps, 3, 3), in a tenth of the time."""
+        predicted: Array = position_covariances(state, covariance, self.time_step, steps, self.acceleration_density)
         return predicted
 
     def to_dict(self) -> dict[str, Any]:

@@ -129,6 +129,13 @@ class LinearBallModel:
         predicted: Array = stacked @ covariance @ stacked.transpose(0, 2, 1) + noise[:steps]
         return predicted
 
+    def position_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
+        """Return the covariances of the positions of `predict` [m²], shape (steps, 3, 3)."""
+        powers, _, noise = self._stacks(steps)
+        rows = powers[: 6 * steps].reshape(steps, 6, 6)[:, :3]
+        predicted: Array = rows @ covariance @ rows.transpose(0, 2, 1) + noise[:steps, :3, :3]
+        return predicted
+
     def _stacks(self, steps: int) -> list[Array]:
         """Return A^n, (6N, 6), ΣA^i B, (N, 6), and ΣA^i Q A^iᵀ, (N, 6, 6), for n = 1 ... N with N >= steps."""
         if not self._powers or len(self._powers[1]) < steps:

@@ -120,6 +120,9 @@ class BallModel(Protocol):
     def predict_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
         """Return the covariances that belong to `predict`, shape (steps, n, n)."""
 
+    def position_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
+        """Return the covariances of the positions of `predict` [m²], shape (steps, 3, 3), fast enough for a planner."""
+
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers and lists with its kind, fit for JSON."""
 

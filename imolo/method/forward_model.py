@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, JsonValue, model_validator
 from sklearn.base import clone
+from sklearn.gaussian_process import GaussianProcessRegressor
 
 from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
@@ -65,6 +66,8 @@ class ForwardModelConfig(Model):
         inputs: Feed k, t_w [s] and time [s] as they are, or with zero mean and unit variance over the samples.
         outputs: The same for the positions [m].
         time: Third input: the time since the onset as in Eq. 2, or since the swing, t - t_w.
+        kernel: Of a Gaussian process: infinitely smooth, or once differentiable (Matérn 3/2), which claims to know less
+            between the trials.
     """
 
     estimator: str = "SVR"
@@ -72,6 +75,7 @@ class ForwardModelConfig(Model):
     inputs: Literal["raw", "standardized"] = "raw"
     outputs: Literal["raw", "standardized"] = "raw"
     time: Literal["since_onset", "since_swing"] = "since_onset"
+    kernel: Literal["rbf", "matern"] = "rbf"
 
     @model_validator(mode="before")
     @classmethod
@@ -138,7 +142,7 @@ class ForwardModel:
             ConfigError: The estimator or one of its parameters is unknown.
         """
         self.config = config
-        self._regressor = make_regressor(config.estimator, config.parameters, num_inputs=3)
+        self._regressor = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
         self._training: TrainingData | None = None
         self._input_scaling: _Scaling
         self._output_scaling: _Scaling
@@ -214,13 +218,32 @@ class ForwardModel:
             ConfigError: The estimator knows no standard deviation.
         """
         inputs = self._inputs(theta, time)
-        if "return_std" not in signature(self._regressor.predict).parameters:
+        if not self.knows_std:
             raise ConfigError(
                 f"estimator {self.config.estimator} predicts no standard deviation; use 'GaussianProcessRegressor'"
             )
         with one_thread():
             parts = [self._regressor.predict(inputs[part], return_std=True)[1] for part in chunks(len(inputs))]
         return np.concatenate(parts) * self._output_scaling.spread
+
+    @property
+    def knows_std(self) -> bool:
+        """Whether the estimator predicts a standard deviation."""
+        return "return_std" in signature(self._regressor.predict).parameters
+
+    def refitted(self, theta: ArrayLike, time: ArrayLike, position: ArrayLike) -> "ForwardModel":
+        """Return the same model of other samples; a fitted Gaussian process keeps its kernel.
+
+        Args:
+            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            time: Time since motion onset [s], shape (N,).
+            position: Hand positions in the world frame [m], shape (N, 3).
+        """
+        other = ForwardModel(self.config)
+        if isinstance(self._regressor, GaussianProcessRegressor):
+            # 15 searches for a kernel take seconds, and one trial less would not find another.
+            other._regressor = clone(self._regressor).set_params(kernel=self._regressor.kernel_, optimizer=None)
+        return other.fit(theta, time, position)
 
     def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:
         _ = self.training

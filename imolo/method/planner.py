@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,12 @@ from pydantic import Field
 from imolo import channels
 from imolo.backend import EventName
 from imolo.ball.model import BallModel
-from imolo.ball.tracker import BallTracker, BallTrackerConfig
+from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig
 from imolo.bus import Bus
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.errors import TableFileError
+from imolo.method.hit_choice import HitChooser, HitConfig
+from imolo.method.hit_kernel import BallPath
 from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
 from imolo.method.table import Executed, LookupTable
 from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
@@ -23,6 +26,7 @@ from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
 Array = NDArray[np.float64]
 
 NEVER = 2**63 - 1  # [us]
+NOT_KNOWN = -1.0  # [-] probability of a hit that the choice does not work out
 
 
 class PlannerConfig(Model):
@@ -36,6 +40,12 @@ class PlannerConfig(Model):
     observation_time: NonNegative = Field(
         0.0, description="least time between the detection of the ball and the onset [s]; the paper names none"
     )
+    choice: Literal["first", "probability"] = Field(
+        "first",
+        description="which motion: of the first point of the path that has one, Sec. IV-A, or the one that most "
+        "probably hits, see docs/choice.md",
+    )
+    hit: HitConfig = HitConfig()
     update: bool = Field(True, description="whether commands are updated after the onset, Sec. IV-B3")
 
 
@@ -58,12 +68,16 @@ class Decision:
         commands: Its U.
         target: Grid point the hand is to reach [m], shape (3,).
         hit_utime: When it is to be there [µs].
+        probability: Of a hit [-]; -1 where the choice does not work it out.
+        side: 1 for the hand that was learned, -1 for the other one.
     """
 
     theta: Theta
     commands: Commands
     target: Array
     hit_utime: int
+    probability: float = NOT_KNOWN
+    side: int = 1
 
 
 class Planner:
@@ -95,9 +109,12 @@ class Planner:
         self._config = config
         self._tracker = BallTracker(ball_model, tracker)
         self._steps = int(config.horizon / ball_model.time_step)
-        self._step_times = ball_model.time_step * np.arange(1, self._steps + 1)
+        self._step_times = ball_model.time_step * np.arange(1, self._steps + 1, dtype=np.float64)
         self._lead = to_microseconds(config.lead_time)
         self._observation = to_microseconds(config.observation_time)
+        self._chooser: HitChooser | None = None
+        if config.choice == "probability":
+            self._chooser = HitChooser(table.swings, table.template, config.hit, ball_model.time_step)
         self._on_decision = on_decision
         self._decision: Decision | None = None
         self._newest = -1
@@ -126,39 +143,61 @@ class Planner:
         if estimate is not None and estimate.in_flight:
             self._bus.publish(channels.BALL_STATE, estimate.to_message())
             self._detected = min(self._detected, frame.utime)
-            path = self._ball_model.predict(estimate.state, self._steps)[:, :3]
-            state = self._decide(frame.utime, path)
+            states = self._ball_model.predict(estimate.state, self._steps)
+            path = states[:, :3]
+            state = self._decide(frame.utime, estimate, states)
         elif self._decision is not None:
             state = PlanState.KEPT
         self._publish(frame, path, state)
 
-    def _decide(self, utime: int, path: Array) -> PlanState:
-        """Start or update a motion if the table holds one for the predicted path; return the state of the plan."""
-        if self._decision is None:
+    def _decide(self, utime: int, estimate: BallEstimate, states: Array) -> PlanState:
+        """Start or update a motion if the table holds one for the predicted states; return the state of the plan."""
+        before = self._decision
+        if before is None:
             if utime < self._detected + self._observation:
                 return PlanState.TRACKING
-            onset = utime + self._lead
-            executed = None
+            onset, executed = utime + self._lead, None
         elif self._config.update:
-            onset = self._decision.commands.onset_utime
-            executed = Executed(self._decision.theta, (utime + self._lead - onset) * 1e-6)
+            onset = before.commands.onset_utime
+            executed = Executed(before.theta, (utime + self._lead - onset) * 1e-6)
         else:
             return PlanState.KEPT
         times = self._step_times + (utime - onset) * 1e-6
-        found = self._table.query_path(path, times, executed)
-        if found is None:
-            return PlanState.TRACKING if self._decision is None else PlanState.KEPT
-        if self._decision is None:
-            state = PlanState.STARTED
+        if self._chooser is None:
+            decision = self._first(states, times, onset, executed)
         else:
-            state = PlanState.KEPT if found.theta == self._decision.theta else PlanState.UPDATED
-        self._decision = Decision(
-            theta=found.theta,
-            commands=self._template.commands(found.theta, onset),
-            target=found.position,
-            hit_utime=onset + to_microseconds(found.time),
-        )
-        return state
+            decision = self._most_probable(self._chooser, estimate, states, times, onset, executed)
+        if decision is None:
+            return PlanState.TRACKING if before is None else PlanState.KEPT
+        self._decision = decision
+        if before is None:
+            return PlanState.STARTED
+        return PlanState.KEPT if decision.theta == before.theta else PlanState.UPDATED
+
+    def _first(self, states: Array, times: Array, onset: int, executed: Executed | None) -> Decision | None:
+        found = self._table.query_path(states[:, :3], times, executed)
+        if found is None:
+            return None
+        commands = self._template.commands(found.theta, onset)
+        return Decision(found.theta, commands, found.position, onset + to_microseconds(found.time))
+
+    def _most_probable(
+        self,
+        chooser: HitChooser,
+        estimate: BallEstimate,
+        states: Array,
+        times: Array,
+        onset: int,
+        executed: Executed | None,
+    ) -> Decision | None:
+        covariance = self._ball_model.position_covariance(estimate.state, estimate.covariance, self._steps)
+        ball = BallPath(times, states[:, :3], states[:, 3:6], covariance)
+        found = chooser.start(ball) if executed is None else chooser.update(ball, *executed)
+        if found is None:
+            return None
+        commands = self._template.commands(found.theta, onset)
+        hit_utime = onset + to_microseconds(found.time)
+        return Decision(found.theta, commands, found.position, hit_utime, found.probability, found.side)
 
     def _publish(self, frame: mocap_frame_t, path: Array, state: PlanState) -> None:
         plan = plan_t()
@@ -168,6 +207,7 @@ class Planner:
         plan.prediction_step = self._ball_model.time_step
         plan.num_predictions = len(path)
         plan.predicted_position = path.tolist()
+        plan.hit_probability = NOT_KNOWN
         decision = self._decision
         if decision is not None:
             self._sequence += 1
@@ -175,6 +215,8 @@ class Planner:
             plan.theta = list(decision.theta)
             plan.plan_onset_utime = decision.commands.onset_utime
             plan.hit_utime = decision.hit_utime
+            plan.hitting_hand = decision.side
+            plan.hit_probability = decision.probability
             plan.target_position = decision.target.tolist()
         self._bus.publish(channels.PLAN, plan)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 from sklearn.multioutput import MultiOutputRegressor
 from sklearn.svm import SVR, NuSVR
 from sklearn.utils import all_estimators, get_tags
@@ -40,7 +40,7 @@ def _regressor_classes() -> dict[str, type]:
     return dict(all_estimators(type_filter="regressor"))
 
 
-def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int) -> Any:
+def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int, kernel: str = "rbf") -> Any:
     """Create an unfitted regressor of several outputs: one estimator per output where the class has but one.
 
     A Gaussian process gets one length scale per input, a signal and a noise variance, common to all outputs: 15 trials
@@ -50,6 +50,7 @@ def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int) ->
         name: Class name in scikit-learn.
         parameters: Its constructor's arguments.
         num_inputs: Number of inputs.
+        kernel: Of a Gaussian process: "rbf", or "matern" for Matérn 3/2.
 
     Raises:
         ConfigError: There is no such regressor, or it has no such parameter.
@@ -68,15 +69,16 @@ def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int) ->
         if parameter not in known:
             raise ConfigError(f"estimator {name} has no parameter {parameter!r}{did_you_mean(parameter, known)}")
     if isinstance(estimator, GaussianProcessRegressor):
-        estimator.set_params(kernel=_one_length_scale_per_input(num_inputs))
+        estimator.set_params(kernel=_one_length_scale_per_input(num_inputs, kernel))
     estimator.set_params(**parameters)
     return estimator if get_tags(estimator).target_tags.multi_output else MultiOutputRegressor(estimator)
 
 
-def _one_length_scale_per_input(num_inputs: int) -> Any:
+def _one_length_scale_per_input(num_inputs: int, kernel: str) -> Any:
     # For standardised inputs and outputs: from a tenth of the spread of the data to nearly constant.
     signal = ConstantKernel(1.0, (1e-3, 1e4))
-    shape = RBF(np.ones(num_inputs), (1e-1, 1e3))
+    scales = np.ones(num_inputs), (1e-1, 1e3)
+    shape = Matern(*scales, nu=1.5) if kernel == "matern" else RBF(*scales)
     noise = WhiteKernel(1e-3, (1e-8, 1.0))
     return signal * shape + noise
 
@@ -155,6 +157,8 @@ def gaussian_sum(regressor: Any, inputs: Array) -> GaussianSum | None:
     # JSON has no kernels, so the kernel of a configured process is the one made here.
     if isinstance(regressor, GaussianProcessRegressor) and not regressor.normalize_y:
         signal, shape = regressor.kernel_.k1.k1, regressor.kernel_.k1.k2
+        if isinstance(shape, Matern):
+            return None
         return GaussianSum(
             centre=inputs,
             scale=np.sqrt(0.5) / shape.length_scale,

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
@@ -13,6 +14,9 @@ from pydantic import Field, model_validator
 from imolo.config.model import Model
 from imolo.errors import ConfigError, ImoloError, TableFileError
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig, TrainingData
+from imolo.method.hand_uncertainty import HandUncertainty
+from imolo.method.hit_choice import group_by_motion
+from imolo.method.hit_kernel import Swings
 from imolo.method.motion import MotionTemplate, Theta, to_microseconds
 from imolo.method.table_file import read_table_file, write_table_file
 from imolo.method.table_kernel import first_match
@@ -115,6 +119,8 @@ class LookupTable:
         position: Grid points in the world frame [m], shape (M, 3), read-only like the next two.
         time: Time since the onset [s], shape (M,).
         theta: Motion parameters, shape (M, 2): k [-], t_w [s].
+        hand_std: Standard deviation of the hand about its prediction along each world axis [m], one row per distinct
+            theta in ascending order, shape (T, 3).
     """
 
     def __init__(
@@ -122,6 +128,7 @@ class LookupTable:
         cell: Indices,
         time: Array,
         theta: Array,
+        hand_std: Array,
         *,
         grid: TableGrid,
         template: MotionTemplate,
@@ -143,10 +150,11 @@ class LookupTable:
         self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
         self._cell, self.time, self.theta = cell[order], time[order], theta[order]
         self.position = self._cell * grid.spacing
+        self.hand_std = hand_std
         self._spacing, self._time_tolerance = grid.spacing, grid.time_tolerance
         self._reach = 0.5 * grid.spacing if grid.match == "sphere" else math.inf
         self._tuples = np.column_stack((self.time, self.theta[:, 0], np.rint(self.theta[:, 1] * 1e6)))
-        for array in (self._cell, self.time, self.theta, self.position):
+        for array in (self._cell, self.time, self.theta, self.position, self.hand_std):
             array.flags.writeable = False
         self.query((0.0, 0.0, 0.0), 0.0)  # compiles the search now rather than in the middle of a throw
 
@@ -185,6 +193,7 @@ class LookupTable:
             cell[kept],
             time[kept],
             theta[kept],
+            _hand_std(model, theta[kept], time[kept]),
             grid=grid,
             template=template,
             forward_model=model.config,
@@ -272,6 +281,12 @@ class LookupTable:
             return None
         return TableHit(Theta(*self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
 
+    @cached_property
+    def swings(self) -> Swings:
+        """The tuples by motion, for the choice of the hit by probability; worked out when first asked for."""
+        position: Array = self.position.astype(np.float64)
+        return group_by_motion(self.theta, self.time, position, self.hand_std, self.grid.spacing)
+
     def refit(self) -> ForwardModel:
         """Return the forward model, fitted again to the stored training data."""
         training = self.training
@@ -291,6 +306,7 @@ class LookupTable:
             "forward_model": self.forward_model.model_dump(),
         }
         arrays: dict[str, NDArray[Any]] = {"cell": self._cell, "time": self.time, "theta": self.theta}
+        arrays["hand_std"] = self.hand_std
         for name in ("theta", "time", "position"):
             arrays[f"training_{name}"] = getattr(self.training, name)
         write_table_file(path, header, arrays)
@@ -316,6 +332,7 @@ class LookupTable:
                 arrays["cell"],
                 arrays["time"],
                 arrays["theta"],
+                arrays["hand_std"],
                 grid=TableGrid.model_validate(header["grid"]),
                 template=MotionTemplate.model_validate(header["template"]),
                 forward_model=ForwardModelConfig.model_validate(header["forward_model"]),
@@ -327,6 +344,13 @@ class LookupTable:
             if isinstance(error, TableFileError):
                 raise
             raise TableFileError(f"table file {path} does not fit this imolo ({error}); build it again") from error
+
+
+def _hand_std(model: ForwardModel, theta: Array, time: Array) -> Array:
+    """Return the standard deviation at the middle time of each distinct theta, shape (T, 3)."""
+    motion, index = np.unique(theta, axis=0, return_inverse=True)
+    middle = np.bincount(index.ravel(), weights=time) / np.bincount(index.ravel())
+    return HandUncertainty(model).std(motion, middle)
 
 
 def _nearest_grid_point(position: Array, spacing: float) -> Indices:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imolo.errors import TableFileError
 
 FORMAT = "imolo-table"
-VERSION = 1
+VERSION = 2  # 1 lacked hand_std
 
 # What zipfile, zlib and numpy raise on bytes that are not what they should be.
 _DAMAGE = (
@@ -77,7 +77,7 @@ def read_table_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
         Its header and its arrays by name.
 
     Raises:
-        TableFileError: The file cannot be read, is damaged, is no table or was written by a newer imolo.
+        TableFileError: The file cannot be read, is damaged, is no table or was written by an older or newer imolo.
     """
     try:
         data = path.read_bytes()
@@ -101,7 +101,11 @@ def read_table_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
         raise TableFileError(f"{path} is an npz file but not an imolo table; give a file that LookupTable.save wrote")
     if version > VERSION:
         raise TableFileError(
-            f"table file {path} has format version {version}, this imolo reads up to {VERSION}; update imolo"
+            f"table file {path} has format version {version}, this imolo reads {VERSION}; update imolo"
+        )
+    if version < VERSION:
+        raise TableFileError(
+            f"table file {path} has format version {version}, this imolo reads {VERSION}; build it again"
         )
     if _checksum({"header": header, **content}) != checksum:
         raise TableFileError(f"table file {path} is damaged (its checksum differs); build it again")

@@ -91,10 +91,12 @@ def table_of(*tuples: tuple[np.ndarray, float]) -> LookupTable:
     grid = TableGrid(match="cell")
     cell = np.floor(np.array([position for position, _ in tuples]) / grid.spacing + 0.5).astype(np.int64)
     time = np.array([time for _, time in tuples])
+    theta = np.column_stack((np.zeros(len(time)), time - 0.17))
     return LookupTable(
         cell,
         time,
-        np.column_stack((np.zeros(len(time)), time - 0.17)),
+        theta,
+        np.zeros((len(np.unique(theta, axis=0)), 3)),
         grid=grid,
         template=MotionTemplate(),
         forward_model=PAPER_SVR,

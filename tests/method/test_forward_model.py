@@ -190,7 +190,7 @@ def test_impossible_configuration_is_named(config: dict[str, object], named: str
         fitted(ForwardModelConfig.model_validate(config))
 
 
-@pytest.mark.parametrize("change", [{"kernel": "rbf"}, {"inputs": "normal"}, {"time": "now"}])
+@pytest.mark.parametrize("change", [{"kernal": "rbf"}, {"kernel": "linear"}, {"inputs": "normal"}, {"time": "now"}])
 def test_unknown_key_or_option_is_refused(change: dict[str, str]) -> None:
     with pytest.raises(ValidationError):
         ForwardModelConfig.model_validate(change)

@@ -86,9 +86,17 @@ def test_table_for_another_robot_is_refused(saved: bytes) -> None:
 
 def test_table_of_a_newer_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as newer:
-        newer.setattr(table_file, "VERSION", 2)
+        newer.setattr(table_file, "VERSION", 3)
         TABLE.save(tmp_path / "t.npz")
-    with pytest.raises(TableFileError, match="format version 2, this imolo reads up to 1; update imolo"):
+    with pytest.raises(TableFileError, match="format version 3, this imolo reads 2; update imolo"):
+        LookupTable.load(tmp_path / "t.npz")
+
+
+def test_table_of_an_older_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as older:
+        older.setattr(table_file, "VERSION", 1)
+        TABLE.save(tmp_path / "t.npz")
+    with pytest.raises(TableFileError, match="format version 1, this imolo reads 2; build it again"):
         LookupTable.load(tmp_path / "t.npz")
 
 
