@@ -33,6 +33,7 @@ class RobotConfig(Model):
 
     name: str = Field("liberobot", description="a table learned on another robot is refused")
     hand_marker: int = Field(6, description="mocap label of the hand that is to hit the ball")
+    other_hand_marker: int = Field(7, description="of the other one, which `planner.choice: probability` may choose")
 
 
 class TrainingConfig(Model):

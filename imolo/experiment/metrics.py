@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.config.experiment import ExperimentConfig, MethodConfig
+from imolo.config.experiment import ExperimentConfig, MethodConfig, RobotConfig
 from imolo.errors import BusError
 from imolo.experiment.causes import Cause, distance_of_ball, find_cause, throw_position
 from imolo.experiment.recordings import hand_at, last_plan, nearest_unlabelled
@@ -144,7 +144,7 @@ def judge_trial(
     updates = sum(message.state == plan_t.UPDATED for message in log.messages[channels.PLAN])
     end_names = (EventName.HIT, EventName.BALL_LANDED)
     end = next((event.utime for event in events if event.event in end_names), None)
-    hand_error = None if plan is None else _hand_error(log, plan, config.robot.hand_marker)
+    hand_error = None if plan is None else _hand_error(log, plan, config.robot)
     ball_error = None if plan is None else distance_of_ball(log, plan)
     cause = None if hit else find_cause(log, config, method or MethodConfig(), table, hand_error, ball_error)
     return TrialResult(
@@ -205,8 +205,9 @@ def _by_position(trials: Sequence[TrialResult]) -> tuple[PositionResult, ...]:
     )
 
 
-def _hand_error(log: Log, plan: plan_t, hand_marker: int) -> float | None:
-    hand = hand_at(log, hand_marker, plan.hit_utime * 1e-6)
+def _hand_error(log: Log, plan: plan_t, robot: RobotConfig) -> float | None:
+    marker = robot.other_hand_marker if plan.hitting_hand < 0 else robot.hand_marker
+    hand = hand_at(log, marker, plan.hit_utime * 1e-6)
     return None if hand is None else float(np.linalg.norm(hand - np.array(plan.target_position)))
 
 

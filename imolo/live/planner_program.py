@@ -119,19 +119,22 @@ class PlannerProgram:
 
     def _on_event(self, channel: str, data: bytes) -> None:
         # The start comes as a request; to hear it twice would reset a planner that is at work.
-        if self._paced and self._from_our_backend() and not is_start(data):
-            self._tell(channel, data)
+        if not is_start(data):
+            self._overhear(channel, data)
 
     def _on_frame(self, channel: str, data: bytes) -> None:
+        for said in self._overhear(channel, data):
+            self._bus.publish_raw(*said)
+
+    def _overhear(self, channel: str, data: bytes) -> Sequence[Said]:
+        """Return what the planner says to a message that was not sent to it alone; nothing where it cannot be read."""
         if not (self._paced and self._from_our_backend()):
-            return
+            return ()
         try:
-            answer = self._tell(channel, data)
+            return self._tell(channel, data)
         except (ValueError, struct.error):
             self._unreadable += 1
-            return
-        for said in answer:
-            self._bus.publish_raw(*said)
+            return ()
 
     def _hear(self, channel: str, data: bytes) -> None:
         if self._paced and channel == channels.VALVE_COMMAND:

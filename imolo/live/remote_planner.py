@@ -7,6 +7,7 @@ mode a trial's log is judged by the same code.
 
 import struct
 import time
+from abc import ABC, abstractmethod
 from typing import NoReturn
 
 import numpy as np
@@ -32,7 +33,7 @@ VENTED = 0.3  # [s] that a trial goes on without its planner, so that its log sh
 _UTIME = struct.Struct(">8xq")  # behind the fingerprint
 
 
-class RemotePlanner:
+class RemotePlanner(ABC):
     """What lock-step and real time have in common.
 
     Attributes:
@@ -78,21 +79,21 @@ class RemotePlanner:
         """Leave the bus of the trial."""
         self._inside = None
 
+    @abstractmethod
     def after_slice(self, utime: int) -> None:
         """Look after the network between two slices of a trial that is at `utime` [µs].
 
         Raises:
             TrialVoidError: The trial cannot go on.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def describe(self) -> str:
         """Return how the clock does, in words."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _relay(self, channel: str, data: bytes) -> None:
         """Carry a message of the trial to the network."""
-        raise NotImplementedError
 
     def _on_event(self, data: bytes) -> None:
         event = trial_event_t.decode(data)

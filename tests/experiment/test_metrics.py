@@ -84,6 +84,18 @@ def test_hand_error_is_the_distance_to_the_grid_point_when_it_counts() -> None:
     assert judge_trial(made_log(), CONFIG).hand_error == pytest.approx(0.005, abs=1e-12)
 
 
+def test_hand_error_is_that_of_the_hand_that_was_chosen() -> None:
+    log = made_log()
+    for message in log.messages[channels.PLAN]:
+        message.hitting_hand = -1
+    for frame in log.messages[channels.MOCAP]:
+        other = frame.markers[0]
+        assert other.marker_id == HAND
+        other.marker_id = CONFIG.robot.other_hand_marker
+    assert judge_trial(log, CONFIG).hand_error == pytest.approx(0.005, abs=1e-12)
+    assert judge_trial(made_log(), CONFIG).hand_error is not None
+
+
 def test_there_is_no_hand_error_without_a_motion_or_a_hand() -> None:
     assert judge_trial(made_log(swings=False), CONFIG).hand_error is None
     log = made_log()

@@ -1,8 +1,10 @@
 """Programs that come, go and are killed: the others say so, vent or wait, and go on; logs are whole to the end."""
 
+import contextlib
 import random
 import re
 import signal
+import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,7 +42,13 @@ def lockstep(learned: Learned, tmp_path: Path) -> Iterator[Lab]:
 
 def wait_for_event(bus: Bus, name: EventName) -> trial_event_t:
     found: list[trial_event_t] = []
-    bus.subscribe(channels.TRIAL, lambda event: found.append(event) if event.event == name else None)
+
+    def hear(_: str, data: bytes) -> None:
+        with contextlib.suppress(ValueError, struct.error):  # nonsense
+            event = trial_event_t.decode(data)
+            found.extend([event] if event.event == name else [])
+
+    bus.subscribe_raw(hear, channels.TRIAL)
     deadline = time.monotonic() + 60.0
     while not found:
         assert time.monotonic() < deadline, f"no {name} on the bus"
@@ -161,12 +169,14 @@ def test_nonsense_on_the_bus_moves_nothing_and_stops_nobody(realtime: Lab) -> No
     bus = Bus(URL)
     backend, planner = realtime.backend(), realtime.planner()
     throw = realtime.throw(1)
-    wait_for_event(bus, EventName.START)
-    for channel in CHANNELS:
-        bus.publish_raw(channel, b"nonsense")
-        bus.publish_raw(channel, bytes(200))
+    for moment in (EventName.START, EventName.THROW, EventName.ONSET):
+        wait_for_event(bus, moment)
+        for channel in CHANNELS:
+            bus.publish_raw(channel, b"nonsense")
+            bus.publish_raw(channel, bytes(200))
     backend.wait_for(r"ball 0: (hit|ball_landed)")
     assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
+    assert re.search(r"[1-9]\d* unreadable", planner.lines[-1])
     assert read_log(realtime.log(0)).messages[channels.VALVE_COMMAND]
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from imolo.conformance import Check, Measurement
 from imolo_backends.engine import Array, Engine, EngineOptions, EngineState, Scene
 
-Observe = Callable[[EngineState], object]
 Errors = Mapping[str, tuple[Array, float]]
 """By quantity, its SI unit in brackets at the end: an error, shape (N,), and the size of what it is an error of."""
 WINDOW_STEP = 1e-2  # [s] between states from whose poses velocities are taken: long, against single precision
