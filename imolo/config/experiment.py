@@ -66,13 +66,13 @@ METHODS: dict[str, MethodConfig] = {
     "paper": MethodConfig(),
     "improved": MethodConfig(
         ball_model=BallModelConfig(kind="spin"),
-        forward_model=GPR,
+        forward_model=GPR.model_copy(update={"kernel": "matern", "time": "since_swing"}),
         grid=TableGrid(unique="all", match="cell"),
-        planner=PlannerConfig(observation_time=0.1),
+        planner=PlannerConfig(observation_time=0.1, choice="probability"),
     ),
 }
-"""The paper's method, and the same with drag and lift of the ball, a better regression and a table that answers more
-queries, measured beside it."""
+"""The paper's method, and the same with drag and lift of the ball, a better regression, a table that answers more
+queries, and the choice of the motion that most probably hits, measured beside it."""
 
 
 class ExperimentConfig(Model):

@@ -131,6 +131,7 @@ class HitChooser:
             0.5 * time_step + 1e-6,
             config.farthest,
         )
+        self._awaited = 0.0
         self._low = swings.position.min(axis=0) - config.farthest
         self._high = swings.position.max(axis=0) + config.farthest
         mirrored = max(abs(self._low[1]), abs(self._high[1]))
@@ -152,9 +153,11 @@ class HitChooser:
         if now.motion < 0:
             return None
         if now.probability < self._config.start_probability:
-            for delay in self._config.look_ahead:
+            # What was worth waiting for a frame ago probably still is.
+            for delay in sorted(self._config.look_ahead, key=lambda delay: abs(delay - self._awaited)):
                 later = near._replace(time=near.time - delay)
                 if most_probable(later, _FREE, False, self._swings, self._extent).probability > now.probability:
+                    self._awaited = delay
                     return None
         return self._hit(most_probable(near, _FREE, True, self._swings, self._extent), near)
 

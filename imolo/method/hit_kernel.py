@@ -14,12 +14,13 @@ from imolo.method.table_kernel import keeps_executed_part
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Vector = tuple[float, float, float]
 
 LEAST_CLOSING_SPEED = 0.5  # [m/s] slower, and hand and ball do not meet within a swing
-FINE_ROWS = 8  # values of k that are tried between two coarse ones
-COARSE_ROWS, COARSE_COLUMNS = 19, 26  # values of k and t_w that are tried first: 14 mm sideways and 8 ms apart
+COARSE_ROWS, COARSE_COLUMNS = 10, 13  # values of k and t_w that are tried first: 28 mm sideways and 16 ms apart
 _LEVEL = 1e-6  # [-] horizontal part of a direction that is not vertical
 _TINY = 1e-12  # [m²]
+_FAR = 6.0  # [standard deviations] beyond which a probability, below 1e-9, is taken for 0
 
 
 class Swings(NamedTuple):
@@ -106,40 +107,45 @@ class Found(NamedTuple):
     side: int
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def normal_within(mean: float, std: float, low: float, high: float) -> float:
     """Return the probability that a normal variable lies between two bounds."""
     scale = 1.0 / (std * math.sqrt(2.0))
     return 0.5 * (math.erf((high - mean) * scale) - math.erf((low - mean) * scale))
 
 
-@njit(cache=True)
-def _quadratic(C: Array, a: float, b: float, c: float) -> float:
-    square: float = C[0, 0] * a * a + C[1, 1] * b * b + C[2, 2] * c * c
-    square += 2.0 * (C[0, 1] * a * b + C[0, 2] * a * c + C[1, 2] * b * c)
-    return square
+@njit(cache=True, inline="always")
+def _variance_along(x: float, y: float, z: float, C: Array, hand: Array, velocity: Vector, timing: float) -> float:
+    """Return the variance of the offset along the unit vector (x, y, z) [m²]."""
+    ball = C[0, 0] * x * x + C[1, 1] * y * y + C[2, 2] * z * z
+    ball += 2.0 * (C[0, 1] * x * y + C[0, 2] * x * z + C[1, 2] * y * z)
+    along = velocity[0] * x + velocity[1] * y + velocity[2] * z
+    total: float = ball + hand[0] * x * x + hand[1] * y * y + hand[2] * z * z + timing * along * along
+    return max(total, _TINY)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def meeting_probability(
-    offset: Array,
+    offset: Vector,
     ball_velocity: Array,
-    hand_velocity: Array,
-    covariance: Array,
+    hand_velocity: Vector,
+    ball_covariance: Array,
+    hand_variance: Array,
     until_first: float,
     until_last: float,
-    reach: float,
+    extent: Extent,
 ) -> float:
     """Return the probability that the ball, as the hand sees it, flies through a square about the hand while it swings.
 
     Args:
-        offset: Ball minus hand at one moment [m], shape (3,).
+        offset: Ball minus hand at one moment [m].
         ball_velocity: [m/s], shape (3,).
-        hand_velocity: [m/s], shape (3,).
-        covariance: Of the offset [m²], shape (3, 3).
+        hand_velocity: [m/s].
+        ball_covariance: Of the ball's position [m²], shape (3, 3).
+        hand_variance: Of the hand's position along each axis [m²], shape (3,).
         until_first: Begin of the swing after that moment [s]; negative if before it.
         until_last: End of the swing after that moment [s].
-        reach: Half the side of the square [m].
+        extent: Of plate and ball.
     """
     wx = ball_velocity[0] - hand_velocity[0]
     wy = ball_velocity[1] - hand_velocity[1]
@@ -148,16 +154,21 @@ def meeting_probability(
     level = math.hypot(wx, wy)
     if closing < LEAST_CLOSING_SPEED or level < _LEVEL * closing:
         return 0.0
+    C, hand, timing, reach = ball_covariance, hand_variance, extent.timing_variance, extent.reach
     # n is where the ball comes from as the hand sees it, a horizontal, b = n × a.
     nx, ny, nz = wx / closing, wy / closing, wz / closing
     ax, ay = -wy / level, wx / level
-    bx, by, bz = -nz * ay, nz * ax, nx * ay - ny * ax
     a = offset[0] * ax + offset[1] * ay
+    std_a = math.sqrt(_variance_along(ax, ay, 0.0, C, hand, hand_velocity, timing))
+    if abs(a) > reach + _FAR * std_a:
+        return 0.0
+    bx, by, bz = -nz * ay, nz * ax, nx * ay - ny * ax
     b = offset[0] * bx + offset[1] * by + offset[2] * bz
+    std_b = math.sqrt(_variance_along(bx, by, bz, C, hand, hand_velocity, timing))
+    if abs(b) > reach + _FAR * std_b:
+        return 0.0
     n = offset[0] * nx + offset[1] * ny + offset[2] * nz
-    std_a = math.sqrt(max(_quadratic(covariance, ax, ay, 0.0), _TINY))
-    std_b = math.sqrt(max(_quadratic(covariance, bx, by, bz), _TINY))
-    std_n = math.sqrt(max(_quadratic(covariance, nx, ny, nz), _TINY))
+    std_n = math.sqrt(_variance_along(nx, ny, nz, C, hand, hand_velocity, timing))
     probability: float = (
         normal_within(a, std_a, -reach, reach)
         * normal_within(b, std_b, -reach, reach)
@@ -166,7 +177,7 @@ def meeting_probability(
     return probability
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _one_hand(motion: int, side: float, ball: BallPath, swings: Swings, extent: Extent) -> tuple[float, int, int]:
     """Return how likely a motion's hand meets the ball, and the point of the path and the tuple nearest to it.
 
@@ -176,11 +187,10 @@ def _one_hand(motion: int, side: float, ball: BallPath, swings: Swings, extent: 
     begin, end = swings.time[first], swings.time[last - 1]
     gap = extent.time_gap
     nearest, nearest_point, nearest_row = extent.farthest**2, -1, -1
+    offset = (0.0, 0.0, 0.0)
     row = first
-    for point in range(len(ball.time)):
+    for point in range(np.searchsorted(ball.time, begin - gap), len(ball.time)):
         when = ball.time[point]
-        if when < begin - gap:
-            continue
         if when > end + gap:
             break
         while row + 1 < last and abs(swings.time[row + 1] - when) <= abs(swings.time[row] - when):
@@ -193,28 +203,19 @@ def _one_hand(motion: int, side: float, ball: BallPath, swings: Swings, extent: 
         z = ball.position[point, 2] - swings.position[row, 2] - late * swings.velocity[row, 2]
         distance = x * x + y * y + z * z
         if distance < nearest:
-            nearest, nearest_point, nearest_row = distance, point, row
+            nearest, nearest_point, nearest_row, offset = distance, point, row, (x, y, z)
     if nearest_row < 0:
         return 0.0, -1, -1
-    when = ball.time[nearest_point]
-    velocity = swings.velocity[nearest_row].copy()
-    offset = swings.position[nearest_row] + (when - swings.time[nearest_row]) * velocity
-    offset[1] *= side
-    velocity[1] *= side
-    offset = ball.position[nearest_point] - offset
-    covariance = ball.covariance[nearest_point].copy()
-    for i in range(3):
-        covariance[i, i] += swings.variance[motion, i]
-        for j in range(3):
-            covariance[i, j] += extent.timing_variance * velocity[i] * velocity[j]
+    velocity = swings.velocity[nearest_row]
     p = meeting_probability(
         offset,
         ball.velocity[nearest_point],
-        velocity,
-        covariance,
-        begin - when,
-        end - when,
-        extent.reach,
+        (velocity[0], side * velocity[1], velocity[2]),
+        ball.covariance[nearest_point],
+        swings.variance[motion],
+        begin - ball.time[nearest_point],
+        end - ball.time[nearest_point],
+        extent,
     )
     return p, nearest_point, nearest_row
 
@@ -235,12 +236,12 @@ def either_hand(motion: int, ball: BallPath, swings: Swings, extent: Extent) -> 
 
 @njit(cache=True)
 def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swings, extent: Extent) -> Found:
-    """Find the motion that most probably meets the ball: on a coarse lattice of theta first, then around its best.
+    """Find the motion that most probably meets the ball: on a coarse lattice of theta, then finer around its best.
 
     Args:
         ball: Where it is predicted to fly.
         underway: What new commands must equal; k is NaN while it is free.
-        refine: Whether to look around the best of the coarse lattice.
+        refine: Whether to go on to the finest lattice, or to halve the distances once, for a comparison.
         swings: The table.
         extent: Of plate and ball.
     """
@@ -250,6 +251,7 @@ def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swin
     if not math.isnan(underway.k):
         step_k = step_w = 1  # few motions still fit
     first_k, last_k, first_w, last_w = 0, count_k, 0, count_w
+    finest = 1 if refine else max(1, max(step_k, step_w) // 2)
     while True:
         for i in range(first_k, last_k, step_k):
             for j in range(first_w, last_w, step_w):
@@ -265,10 +267,11 @@ def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swin
                 found = either_hand(motion, ball, swings, extent)
                 if found.probability > best.probability:
                     best = found
-        if not refine or best.motion < 0 or step_k * step_w == 1:
+        if best.motion < 0 or max(step_k, step_w) <= finest:
             return best
-        refine = False
+        # Neighbours of the best, half as far apart.
         i, j = swings.place[best.motion]
-        first_k, last_k = max(0, i - step_k + 1), min(count_k, i + step_k)
-        first_w, last_w = max(0, j - step_w + 1), min(count_w, j + step_w)
-        step_k, step_w = max(1, 2 * step_k // FINE_ROWS), 1
+        half_k, half_w = max(1, step_k // 2), max(1, step_w // 2)
+        first_k, last_k = max(i % half_k, i - 2 * half_k), min(count_k, i + 2 * half_k + 1)
+        first_w, last_w = max(j % half_w, j - 2 * half_w), min(count_w, j + 2 * half_w + 1)
+        step_k, step_w = half_k, half_w

@@ -12,7 +12,7 @@ from rough_tables import SHARP, TABLE
 from imolo.method.forward_model import GPR, ForwardModel
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.hit_choice import HitChooser, HitConfig, ProbableHit, group_by_motion
-from imolo.method.hit_kernel import BallPath, Swings, meeting_probability
+from imolo.method.hit_kernel import BallPath, Extent, Swings, meeting_probability
 from imolo.method.motion import MotionTemplate, Theta
 
 Array = NDArray[np.float64]
@@ -24,7 +24,13 @@ HAND = np.array([6.0, 0.2, 5.0])
 
 
 def probability(offset: Array, covariance: Array, before: float = -1.0, after: float = 1.0) -> float:
-    return float(meeting_probability(offset, BALL, HAND, covariance, before, after, REACH))
+    return met(offset, BALL, covariance, before, after)
+
+
+def met(offset: Array, ball_velocity: Array, covariance: Array, before: float, after: float) -> float:
+    extent = Extent(reach=REACH, timing_variance=0.0, time_gap=STEP, farthest=1.0)
+    p = meeting_probability(tuple(offset), ball_velocity, tuple(HAND), covariance, np.zeros(3), before, after, extent)
+    return float(p)
 
 
 def spread(scale: float) -> Array:
@@ -65,7 +71,7 @@ def test_farther_sideways_is_never_likelier(near: float, more: float) -> None:
 
 
 def test_ball_that_moves_with_the_hand_meets_nothing() -> None:
-    assert meeting_probability(np.zeros(3), HAND, HAND, spread(1.0), -1.0, 1.0, REACH) == 0.0
+    assert met(np.zeros(3), HAND, spread(1.0), -1.0, 1.0) == 0.0
 
 
 # Tables by hand: for each motion a hand that passes (1, 0.2 k - 0.2, 1) at 0.3 s after t_w.
