@@ -14,7 +14,7 @@ help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
 demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
-	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo
+	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo --fresh
 
 ode: $(READY) ## Add ODE, the paper's engine, from Debian's packages; no root needed.
 	tools/get_ode

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import live, loop, planner, table
+from benchmarks import campaign, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.experiment.results import installed_versions
@@ -30,6 +30,8 @@ def measure(console: Console) -> Iterator[Measurement]:
             yield from loop.run(engine)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        with console.status("campaign"):
+            yield from campaign.run(folder / "campaign")
         with console.status("learning"):
             learned = learn(folder)
         for method in learned.config.methods:

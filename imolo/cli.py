@@ -20,6 +20,7 @@ from imolo.live import commands as live_commands
 # The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig
+    from imolo.experiment.results import ResultsFolder
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -43,6 +44,10 @@ Out = Annotated[Path, typer.Option(help="Results folder.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the seed of the configs.")]
 Balls = Annotated[int | None, typer.Option(min=1, help="Replaces the number of balls of the configs.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Number of processes [default: one per core].", show_default=False)]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Delete the trials in the results folder and run all anew.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Run the trials on the workers of this Dask scheduler, such as tcp://127.0.0.1:8786.")
+]
 
 CORES = os.cpu_count() or 1
 
@@ -125,16 +130,17 @@ def compare(
     seed: Seed = None,
     balls: Balls = None,
     jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
 ) -> None:
     """Learn the motions, throw balls and hit them on every backend, then compare.
 
     Writes logs, tables, resolved configs, figures, summary.json and timing.json to the results folder.
     """
     from imolo.experiment import comparison, figures, summary
-    from imolo.experiment.results import ResultsFolder
 
-    chosen = [_override(config, seed, balls) for config in _load_all(configs)]
-    folder = ResultsFolder(out)
+    chosen = [_override(config, seed, balls, scheduler) for config in _load_all(configs)]
+    folder = _results(out, fresh)
     with _Bars(_kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
     console.print(summary.render_comparison(result, timings.timing))
@@ -143,14 +149,20 @@ def compare(
 
 
 @app.command()
-def learn(config: ConfigPath, out: Out = Path("results/learn"), seed: Seed = None, jobs: Jobs = CORES) -> None:
+def learn(
+    config: ConfigPath,
+    out: Out = Path("results/learn"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
     """Learn balls and motions on one backend and build the table of each method."""
     from imolo.config.experiment import load_config
     from imolo.experiment import comparison
-    from imolo.experiment.results import ResultsFolder
 
-    chosen = _override(load_config(config), seed, None)
-    folder = ResultsFolder(out)
+    chosen = _override(load_config(config), seed, None, scheduler)
+    folder = _results(out, fresh)
     with _Bars(_kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
     for method in chosen.methods:
@@ -166,25 +178,26 @@ def hit(
     seed: Seed = None,
     balls: Balls = None,
     jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
 ) -> None:
     """Throw balls on one backend and hit them with a table, perhaps learned on another backend."""
     from imolo.config.experiment import load_config
     from imolo.experiment import comparison, summary
-    from imolo.experiment.results import ResultsFolder
     from imolo.method.table import LookupTable
 
-    chosen = _override(load_config(config), seed, balls)
+    chosen = _override(load_config(config), seed, balls, scheduler)
     if method not in chosen.methods:
         raise ConfigError(
             f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
         )
     LookupTable.load(table, chosen.robot.name)
-    folder = ResultsFolder(out)
+    folder = _results(out, fresh)
     folder.prepare()
-    folder.save_config(chosen)
     name = chosen.backend.name
     with _Bars(_kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
+    folder.save_config(chosen)
     folder.save_json("summary.json", results[name][method])
     console.print(summary.render_results(results, timing))
     console.print(summary.render_causes(results))
@@ -205,6 +218,8 @@ def ball(
     out: Out = Path("results/ball"),
     seed: Seed = None,
     jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
 ) -> None:
     """Rate ball models on recorded or simulated flights by leave-one-out: error against lead time, and calibration.
 
@@ -212,7 +227,6 @@ def ball(
     """
     from imolo.config.experiment import load_config
     from imolo.experiment import ball_report, ball_study
-    from imolo.experiment.results import ResultsFolder
 
     if (config is None) == (data is None):
         raise ConfigError("give either the config of a backend or --data FILE")
@@ -220,13 +234,13 @@ def ball(
         models=ball_study.parse_models(models),
         horizons=ball_study.parse_horizons(horizons, recorded=data is not None),
     )
-    folder = ResultsFolder(out)
+    folder = _results(out, fresh)
     folder.prepare()
     with _Bars(_kept_in(out)) as bars:
         if data is not None:
             result = study.rate_recorded(data, jobs, bars.show)
         elif config is not None:
-            chosen = _override(load_config(config), seed, None)
+            chosen = _override(load_config(config), seed, None, scheduler)
             result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
@@ -243,6 +257,8 @@ def interpolation(
     out: Out = Path("results/interpolation"),
     seed: Seed = None,
     jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
 ) -> None:
     """Test whether nonlinear interpolation brings the hand nearer to where it should be (Sec. VI, Fig. 7).
 
@@ -250,11 +266,10 @@ def interpolation(
     and interpolation.png to the results folder.
     """
     from imolo.experiment import interpolation_report, interpolation_study
-    from imolo.experiment.results import ResultsFolder
 
     numbers = interpolation_report.parse_trials(trials)
-    chosen = [_override(config, seed, None) for config in _load_all(configs)]
-    folder = ResultsFolder(out)
+    chosen = [_override(config, seed, None, scheduler) for config in _load_all(configs)]
+    folder = _results(out, fresh)
     with _Bars(_kept_in(out)) as bars:
         result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
     console.print(interpolation_report.render_study(result))
@@ -271,6 +286,8 @@ def attribute(
     ] = None,
     out: Out = Path("results/attribute"),
     jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
 ) -> None:
     """Say why two backends bring the hand to different places under the same commands.
 
@@ -279,10 +296,12 @@ def attribute(
     """
     from imolo.experiment import figures, summary
     from imolo.experiment.attribution import attribute as attribute_disagreement
-    from imolo.experiment.results import ResultsFolder
 
-    configs = (_named_or_file(first, motions), _named_or_file(second, motions))
-    folder = ResultsFolder(out)
+    configs = (
+        _override(_named_or_file(first, motions), None, None, scheduler),
+        _override(_named_or_file(second, motions), None, None, scheduler),
+    )
+    folder = _results(out, fresh)
     with _Bars(_kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     console.print(summary.render_attribution(answer))
@@ -369,13 +388,33 @@ def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":
     return config.model_copy(update={"training": training})
 
 
-def _override(config: "ExperimentConfig", seed: int | None, balls: int | None) -> "ExperimentConfig":
+def _override(
+    config: "ExperimentConfig", seed: int | None, balls: int | None, scheduler: str | None
+) -> "ExperimentConfig":
+    from imolo.config.experiment import ParallelConfig
+
     changes: dict[str, object] = {}
     if seed is not None:
         changes["seed"] = seed
+    campaign: dict[str, object] = {}
     if balls is not None:
-        changes["campaign"] = config.campaign.model_copy(update={"balls": balls})
+        campaign["balls"] = balls
+    if scheduler is not None:
+        campaign["parallel"] = ParallelConfig(backend="dask", address=scheduler)
+    if campaign:
+        changes["campaign"] = config.campaign.model_copy(update=campaign)
     return config.model_copy(update=changes)
+
+
+def _results(out: Path, fresh: bool) -> "ResultsFolder":
+    from imolo.experiment.results import ResultsFolder
+
+    folder = ResultsFolder(out)
+    if fresh:
+        folder.discard_trials()
+    elif there := folder.trials():
+        console.print(f"{there} trials are in {out} already and will not be run again")
+    return folder
 
 
 def _complain(message: str) -> None:

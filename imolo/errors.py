@@ -56,6 +56,10 @@ class TableFileError(ImoloError):
     """A table file is damaged, foreign, of another version or for another robot."""
 
 
+class WorkerError(ImoloError):
+    """The workers that run trials cannot be reached, are of another version, or died too often."""
+
+
 class ResultsError(ImoloError):
     """A results folder cannot be read or written."""
 

@@ -16,6 +16,8 @@ from imolo.log_file import HEADER, Damage, LogEvent, read_events
 
 logger = logging.getLogger(__name__)
 
+LOG_SUFFIX = ".lcmlog"
+
 
 class Recorder:
     """Write every message on a bus to a log, stamped by the backend's clock.

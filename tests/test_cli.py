@@ -351,6 +351,55 @@ def logs(folder: Path) -> list[Path]:
     return sorted(folder.rglob("*.lcmlog"))
 
 
+def digest(folder: Path) -> dict[str, bytes]:
+    files = [folder / "summary.json", *logs(folder), *sorted((folder / "tables").glob("*"))]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+SMALL = """
+backend: {name: mujoco}
+simulation: {timestep: 5.0e-4}
+campaign: {learning_throws: 4, balls: 2}
+methods:
+  quick:
+    forward_model: {parameters: {C: 100.0, epsilon: 0.001, gamma: 0.3}, inputs: standardized}
+    grid: {spacing: 0.02, time_tolerance: 0.02, unique: all, k: {start: -1.0, stop: 1.0, step: 0.05}}
+"""
+
+
+@pytest.mark.slow
+def test_comparison_is_the_same_wherever_it_runs_and_however_often_it_stops(run: Run) -> None:
+    from distributed import LocalCluster
+
+    Path("small.yaml").write_text(SMALL, encoding="utf-8")
+    assert run("compare", "small.yaml", "--out", "one", "--jobs", 1)[0] == 0
+    expected = digest(Path("one"))
+    assert len(logs(Path("one"))) == 4 + 15 + 2
+    assert run("compare", "small.yaml", "--out", "two", "--jobs", 2)[0] == 0
+    assert digest(Path("two")) == expected
+    for path in logs(Path("two"))[::3]:
+        path.unlink()
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=50
+    ) as cluster:
+        on_dask = ("--scheduler", cluster.scheduler_address)
+        code, output, _ = run("compare", "small.yaml", "--out", "two", *on_dask)
+        assert (code, "14 trials are in two already" in output) == (0, True)
+        assert digest(Path("two")) == expected
+        assert run("compare", "small.yaml", "--out", "dask", *on_dask)[0] == 0
+        assert digest(Path("dask")) == expected
+
+
+def test_results_of_another_seed_are_refused_until_fresh_ones_are_wanted(run: Run) -> None:
+    Path("small.yaml").write_text(SMALL, encoding="utf-8")
+    ball = ("ball", "small.yaml", "--throws", 4, "--models", "linear", "--jobs", 1, "--out", "out")
+    assert run(*ball)[0] == 0
+    code, _, errors = run(*ball, "--seed", 2)
+    assert code == 2
+    assert is_one_line_about(errors, "is of another seed, config; give another --out, or --fresh")
+    assert run(*ball, "--seed", 2, "--fresh")[0] == 0
+
+
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ctrl_c_keeps_the_logs_and_ends_in_one_line(tmp_path: Path, jobs: int) -> None:
     (tmp_path / "experiment.yaml").write_text(GOOD, encoding="utf-8")

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -44,13 +44,24 @@ class TrainingConfig(Model):
     sampled_to: NonNegative = Field(0.22, description="since t_w, excluded [s], Sec. VII-B")
 
 
+class ParallelConfig(Model):
+    """Where trials run; it shapes no result."""
+
+    backend: Literal["loky", "dask"] = Field("loky", description="processes of this machine, or workers of a cluster")
+    address: str = Field("tcp://127.0.0.1:8786", description="of the Dask scheduler")
+    retries: Annotated[int, Field(ge=0)] = Field(
+        2, description="of a trial whose process died; on a cluster the scheduler's `allowed-failures` counts"
+    )
+
+
 class CampaignConfig(Model):
-    """How many balls, and how long a trial lasts."""
+    """How many balls, how long a trial lasts, and where it runs."""
 
     learning_throws: Annotated[int, Field(ge=3)] = Field(10, description="to learn how balls fly, Sec. V-C")
     balls: Annotated[int, Field(ge=1)] = Field(20, description="to be hit, Sec. VII-B")
     duration: Positive = Field(1.6, description="longest trial with a ball [s]")
     tail: NonNegative = Field(0.05, description="recorded after the ball was hit or has landed [s]")
+    parallel: ParallelConfig = ParallelConfig()
 
 
 class MethodConfig(Model):
@@ -106,7 +117,8 @@ class ExperimentConfig(Model):
 
     def digest(self) -> str:
         """Return a short hash of everything that shapes the results."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()[:12]
+        content = self.model_dump(mode="json", exclude={"campaign": {"parallel"}})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def load_config(path: Path) -> ExperimentConfig:

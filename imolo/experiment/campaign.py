@@ -1,24 +1,41 @@
-"""Run many trials at once, on all cores, and keep what is done when one fails or the user stops."""
+"""Run many trials at once, on all cores or machines, and keep what is done when one fails or the user stops."""
 
 import multiprocessing
 import signal
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
 
 from imolo.backend import Trial, TrialKind
 from imolo.ball.fit import restore_ball_model
 from imolo.ball.model import BallModel
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import ConfigError
+from imolo.errors import BusError, ConfigError, WorkerError
+from imolo.experiment.kept_trials import (
+    TrialTiming,
+    discard_partial,
+    environment,
+    file_digest,
+    keep,
+    kept,
+    partial_path,
+    partial_paths,
+)
 from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
+from imolo.experiment.workers import run_on_cores, run_on_dask
+from imolo.log import LOG_SUFFIX
 from imolo.method.planner import Planner
 from imolo.method.table import LookupTable
+
+ARRIVAL = 10.0  # [s] a shared file system may take to show what another machine wrote
+_ONE_TRIAL_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -42,21 +59,6 @@ class TrialTask:
     duration: float | None = None
 
 
-@dataclass(frozen=True)
-class TrialTiming:
-    """How long a trial took; beside the log, since a log holds nothing that depends on the machine.
-
-    Attributes:
-        simulated: Simulated time [s].
-        elapsed: Real time [s].
-        decisions: Real time of each planner decision, mocap message in, command out [s].
-    """
-
-    simulated: float
-    elapsed: float
-    decisions: tuple[float, ...]
-
-
 def learning_tasks(config: ExperimentConfig, folder: Path) -> list[TrialTask]:
     """Return the throws and the training motions that an experiment learns from."""
     throws = [Trial(TrialKind.THROW, index, config.seed) for index in range(config.campaign.learning_throws)]
@@ -72,39 +74,123 @@ def hit_tasks(config: ExperimentConfig, folder: Path, method: str, table_path: P
 
 def log_name(trial: Trial) -> str:
     """Return the file name of a trial's log."""
-    return f"{trial.kind.value}_{trial.index:03d}.lcmlog"
+    return f"{trial.kind.value}_{trial.index:03d}{LOG_SUFFIX}"
 
 
 def run_tasks(
     tasks: Sequence[TrialTask], jobs: int, on_done: Callable[[TrialTask], None] = lambda _: None
 ) -> list[TrialTiming]:
-    """Run trials in parallel; the logs do not depend on the number of processes.
+    """Run trials where `campaign.parallel` says; the logs depend neither on that nor on the number of processes.
+
+    Trials whose complete logs are there are not run again. A trial whose process dies is repeated.
 
     Args:
         tasks: What to run.
-        jobs: Number of processes.
-        on_done: Called after each trial, in the order in which they end.
+        jobs: Number of processes, or -1 for one per core; a cluster has as many as it has.
+        on_done: Called after each trial, first for those that were there, then in the order in which they end.
 
     Returns:
         The timings in the order of the tasks.
 
     Raises:
         ConfigError: Several processes would share one bus.
+        ResultsError: A log is there that is of another campaign.
+        WorkerError: A trial's process died each time, or the cluster cannot be used.
         ImoloError: A trial failed; the logs of the others stay.
     """
+    if not tasks:
+        return []
+    parallel = tasks[0].config.campaign.parallel
     shared = next((task.config.bus for task in tasks if not task.config.bus.startswith("memq:")), None)
-    if shared is not None and jobs > 1:
+    if shared is not None and (jobs != 1 or parallel.backend != "loky"):
         raise ConfigError(
             f"trials run at once would mix their messages on the bus {shared!r}; give --jobs 1 or memq://"
         )
+    origins = _origins(tasks)
     timings: dict[int, TrialTiming] = {}
-    ended: Iterable[tuple[int, TrialTiming]] = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-        delayed(_run_numbered)(number, task) for number, task in enumerate(tasks)
-    )
-    for number, timing in ended:
+    left: list[tuple[int, TrialTask]] = []
+    for number, task in enumerate(tasks):
+        timing = kept(task.log_path, origins[number])
+        if timing is None:
+            left.append((number, task))
+            discard_partial(task.log_path)
+        else:
+            timings[number] = timing
+            on_done(task)
+    work = [_Work(_with_absolute_paths(task), origins[number]) for number, task in left]
+    if not work:
+        ended: Iterable[tuple[int, TrialTiming]] = ()
+    elif parallel.backend == "dask":
+        ended = run_on_dask(_run_far, work, parallel)
+    elif jobs == 1:
+        ended = enumerate(map(_run_here, work))
+    else:
+        ended = run_on_cores(_run_here, work, jobs, parallel.retries, _Work.was_begun)
+    for index, timing in ended:
+        number, task = left[index]
+        _check_arrival(task)
+        discard_partial(task.log_path)
         timings[number] = timing
-        on_done(tasks[number])
+        on_done(task)
     return [timings[number] for number in range(len(tasks))]
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A trial and the origin to write beside its log."""
+
+    task: TrialTask
+    origin: dict[str, str]
+
+    def __str__(self) -> str:
+        task = self.task
+        method = f", method {task.method}" if task.method else ""
+        return f"trial {task.trial.kind.value} {task.trial.index} on {task.config.backend.name}{method}"
+
+    def was_begun(self) -> bool:
+        """Tell whether a process died over it."""
+        return bool(partial_paths(self.task.log_path))
+
+
+def _origins(tasks: Sequence[TrialTask]) -> list[dict[str, str]]:
+    """Return what each log comes from."""
+    configs = {id(task.config): task.config for task in tasks}
+    digests = {key: config.digest() for key, config in configs.items()}
+    tables = {path: file_digest(path) for path in {task.table_path for task in tasks} if path is not None}
+    return [
+        {
+            "seed": str(task.trial.seed),
+            "config": digests[id(task.config)],
+            "method": task.method,
+            "duration": "" if task.duration is None else str(task.duration),
+            "table": tables[task.table_path] if task.table_path is not None else "",
+            **environment(),
+        }
+        for task in tasks
+    ]
+
+
+def _with_absolute_paths(task: TrialTask) -> TrialTask:
+    """Return a task as it is for a process that was started in another folder."""
+    table = None if task.table_path is None else task.table_path.absolute()
+    return replace(task, log_path=task.log_path.absolute(), table_path=table)
+
+
+def _check_arrival(task: TrialTask) -> None:
+    """Refuse a log that a worker wrote to a disk of its own.
+
+    Raises:
+        WorkerError: The log is not there.
+    """
+    deadline = time.monotonic() + ARRIVAL
+    while not task.log_path.is_file():
+        if time.monotonic() > deadline:
+            raise WorkerError(
+                f"a worker wrote {task.log_path}, but it is not there; choose an --out that all machines share"
+            )
+        # A look at the folder makes a network file system ask its server.
+        list(task.log_path.parent.glob("*"))
+        time.sleep(0.1)
 
 
 def leave_interrupts_to_the_parent() -> None:
@@ -113,9 +199,32 @@ def leave_interrupts_to_the_parent() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _run_numbered(number: int, task: TrialTask) -> tuple[int, TrialTiming]:
+def _run_here(work: _Work) -> TrialTiming:
     leave_interrupts_to_the_parent()
-    return number, run_task(task)
+    return _run_and_keep(work)
+
+
+def _run_far(work: _Work) -> TrialTiming:
+    """Run a trial on a worker of a cluster, which may run several threads in a process and another version of imolo."""
+    host = socket.gethostname()
+    here = environment()
+    different = [f"{key} {here.get(key)}" for key in here if here[key] != work.origin.get(key)]
+    if different:
+        raise WorkerError(
+            f"the worker on {host} has {', '.join(different)}, unlike the machine of the command; install the same"
+        )
+    try:
+        with _ONE_TRIAL_AT_A_TIME:
+            return _run_and_keep(work)
+    except BusError as error:
+        raise BusError(f"the worker on {host}: {error} that all machines share") from error
+
+
+def _run_and_keep(work: _Work) -> TrialTiming:
+    partial = partial_path(work.task.log_path)
+    timing = run_task(replace(work.task, log_path=partial))
+    keep(partial, work.task.log_path, work.origin, timing)
+    return timing
 
 
 def run_task(task: TrialTask) -> TrialTiming:
@@ -132,8 +241,10 @@ def run_task(task: TrialTask) -> TrialTiming:
         table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
     begin = time.perf_counter()
-    simulated = run_trial(config, trial, controller, task.log_path, duration)
-    return TrialTiming(simulated, time.perf_counter() - begin, tuple(decisions))
+    # One thread, so that the sums do not depend on the number of cores.
+    with threadpool_limits(limits=1):
+        simulated = run_trial(config, trial, controller, task.log_path, duration)
+    return TrialTiming(simulated=simulated, elapsed=time.perf_counter() - begin, decisions=tuple(decisions))
 
 
 def load_learned(path: Path, robot: str) -> tuple[LookupTable, BallModel]:

@@ -16,13 +16,13 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
 from imolo.experiment.campaign import (
     TrialTask,
-    TrialTiming,
     hit_tasks,
     learning_tasks,
     leave_interrupts_to_the_parent,
     load_learned,
     run_tasks,
 )
+from imolo.experiment.kept_trials import TrialTiming
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
 from imolo.experiment.metrics import MethodResult, Statistic, TrialResult, judge_campaign, judge_trial
 from imolo.experiment.recordings import hand_in_swing
@@ -136,11 +136,11 @@ def learn(
         ImoloError: Something failed; what was recorded until then stays.
     """
     folder.prepare()
-    for config in configs:
-        folder.save_config(config)
     tasks = {config.backend.name: learning_tasks(config, folder.learning(config.backend.name)) for config in configs}
     _run_groups(tasks, lambda name: f"{name}: learning trials", jobs, progress)
     for config in configs:
+        # Not before: a folder that holds another campaign is refused as it is.
+        folder.save_config(config)
         progress(f"{config.backend.name}: tables", 0, 1)
     built = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
         delayed(_build_tables)(config, tasks[config.backend.name], folder) for config in configs

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ResultsError
+from imolo.log import LOG_SUFFIX
 
 PACKAGES = (
     "imolo",
@@ -52,6 +53,22 @@ class ResultsFolder:
             raise ResultsError(
                 f"cannot write results to {self.path}: {error.strerror}; choose another --out"
             ) from error
+
+    def discard_trials(self) -> None:
+        """Delete the trials that are there, so that all of them are run anew.
+
+        Raises:
+            ResultsError: They cannot be deleted.
+        """
+        for path in (self.path / "logs").rglob(f"*{LOG_SUFFIX}*"):
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise ResultsError(f"cannot delete {path}: {error.strerror}; choose another --out") from error
+
+    def trials(self) -> int:
+        """Return how many complete trials are there."""
+        return sum(1 for _ in (self.path / "logs").rglob(f"*{LOG_SUFFIX}"))
 
     def learning(self, backend: str) -> Path:
         """Return the folder of the logs that a backend learns from."""

@@ -163,7 +163,7 @@ def view(
     robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
 ) -> None:
     """Show sessions in the browser: logs, or without any the session that runs on a bus."""
-    from imolo.inspect.export import import_extra
+    from imolo.extras import import_extra
     from imolo.log import read_log
 
     import_extra("viser", "view")

@@ -4,9 +4,9 @@ import csv
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
 
-from imolo.errors import MissingToolError, ResultsError
+from imolo.errors import ResultsError
+from imolo.extras import import_extra
 from imolo.inspect.fields import Value, columns
 from imolo.log import Log
 
@@ -72,17 +72,3 @@ def _parquet_writer() -> Callable[[Path, Columns], None]:
         parquet.write_table(pyarrow.table(table), str(path))
 
     return write
-
-
-def import_extra(module: str, extra: str) -> Any:
-    """Import a module of an optional dependency.
-
-    Raises:
-        MissingToolError: It is not installed; the message says how to install it.
-    """
-    from importlib import import_module
-
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise MissingToolError(f"{error}; install it with: pip install 'imolo[{extra}]'") from error

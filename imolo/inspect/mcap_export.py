@@ -12,7 +12,7 @@ from typing import Any
 from imolo import channels
 from imolo.channels import CHANNELS
 from imolo.config.simulation import BallConfig
-from imolo.inspect.export import import_extra
+from imolo.extras import import_extra
 from imolo.log import Log
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
 

@@ -31,7 +31,7 @@ def load(tmp_path: Path, text: str) -> ExperimentConfig:
             "simulation: {pneumatics: {tube_lenght: 1}}\n",
             "unknown key 'simulation.pneumatics.tube_lenght'; did you mean 'tube_length'?",
         ),
-        ("campaign: {nonsense: 1}\n", "(known: balls, duration, learning_throws, tail)"),
+        ("campaign: {nonsense: 1}\n", "(known: balls, duration, learning_throws, parallel, tail)"),
         ("seed: many\n", "'seed' is 'many': Input should be a valid integer"),
         ("seed: -1\n", "'seed' is -1: Input should be greater than or equal to 0"),
         ("campaign: 5\n", "'campaign' is 5: Input should be a valid dictionary"),

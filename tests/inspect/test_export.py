@@ -12,7 +12,8 @@ from pyarrow import parquet
 from recorded_trials import Recorded, Run
 
 from imolo.channels import STREAMS
-from imolo.inspect import export
+from imolo.errors import MissingToolError
+from imolo.extras import import_extra
 from imolo.inspect.fields import flatten
 from imolo.inspect.mcap_export import to_json
 from imolo.log import Log, read_log
@@ -105,8 +106,8 @@ def test_unknown_format_is_refused_with_the_nearest(recorded: Recorded, run: Run
 
 
 def test_missing_package_names_the_extra() -> None:
-    with pytest.raises(export.MissingToolError, match=r"install it with: pip install 'imolo\[export\]'"):
-        export.import_extra("no_such_package", "export")
+    with pytest.raises(MissingToolError, match=r"install it with: pip install 'imolo\[export\]'"):
+        import_extra("no_such_package", "export")
 
 
 def test_folder_that_cannot_be_written_is_one_line(recorded: Recorded, run: Run, tmp_path: Path) -> None:
