@@ -16,6 +16,7 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.errors import BackendError, BusError, ResultsError, TrialVoidError
 from imolo.experiment.campaign import log_name
 from imolo.experiment.trial import Bystander, run_trial
+from imolo.live.clock import BACKEND_PRIORITY, claim_priority
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
@@ -66,7 +67,8 @@ class BackendProgram:
 
     def run(self) -> None:
         """Play trials until stopped."""
-        self._console.say(f"{self._config.backend.name}, logs in {self._folder}, next is ball {self._index}")
+        clock = claim_priority(BACKEND_PRIORITY) if self._planner.paced else "lock-step"
+        self._console.say(f"{self._config.backend.name}, {clock}, logs in {self._folder}, next is ball {self._index}")
         run_node(self._node, self._bus.wait, self._stop, self._turn)
         self._console.say(f"stopped; {self._status()}")
 

@@ -14,6 +14,7 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError, did_you_mean
 from imolo.experiment.campaign import load_learned
 from imolo.experiment.trial import Controller
+from imolo.live.clock import PLANNER_PRIORITY, claim_priority
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Answerer, Said
 from imolo.live.node import Node
@@ -112,6 +113,8 @@ class PlannerProgram:
 
     def _answer(self, request: step_request_t) -> Sequence[Said]:
         if request.previous_step == 0:
+            if request.paced and not self._paced:
+                self._console.say(f"real time; {claim_priority(PLANNER_PRIORITY)}")
             self._paced = bool(request.paced)
             self._node.activity = "planning in " + ("real time" if self._paced else "lock-step")
             self._streams.begin_trial()
