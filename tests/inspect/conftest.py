@@ -1,13 +1,9 @@
 """Two short recorded trials with their planner's table, learned once."""
 
-import sys
-from pathlib import Path
-
 import pytest
-from recorded_trials import METHOD, Recorded, Run
+from recorded_trials import METHOD, Recorded
 
 from imolo.backend import Trial, TrialKind
-from imolo.cli import main
 from imolo.config.experiment import ExperimentConfig
 from imolo.experiment.campaign import learning_tasks, run_tasks
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
@@ -50,20 +46,5 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Run `imolo` in this process and in an empty folder; returns exit code, output and errors."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "140")
-
-    def run_it(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["imolo", *map(str, arguments)])
-        try:
-            main()
-            code: object = 0
-        except SystemExit as ended:
-            code = ended.code or 0
-        captured = capsys.readouterr()
-        assert isinstance(code, int)
-        return code, captured.out, captured.err
-
-    return run_it
+def columns() -> int:
+    return 140

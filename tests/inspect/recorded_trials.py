@@ -1,10 +1,7 @@
 """What the tests of recorded trials share."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-
-Run = Callable[..., tuple[int, str, str]]
 
 METHOD = "paper"  # whose planner has the default settings
 

@@ -5,11 +5,12 @@ import json
 from pathlib import Path
 
 import pytest
+from command_line import Run
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
 from pyarrow import parquet
-from recorded_trials import Recorded, Run
+from recorded_trials import Recorded
 
 from imolo.channels import STREAMS
 from imolo.errors import MissingToolError

@@ -10,7 +10,8 @@ import matplotlib.pyplot as plt
 import msgspec
 import pytest
 import zstandard
-from recorded_trials import Recorded, Run
+from command_line import Run
+from recorded_trials import Recorded
 from requirements import needs
 
 from imolo import channels

@@ -6,7 +6,8 @@ import lcm
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from recorded_trials import METHOD, Recorded, Run
+from command_line import Run
+from recorded_trials import METHOD, Recorded
 
 from imolo import channels
 from imolo.channels import STREAMS

@@ -8,7 +8,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from recorded_trials import Recorded, Run
+from command_line import Run
+from recorded_trials import Recorded
 from requirements import needs
 
 from imolo.channels import STREAMS

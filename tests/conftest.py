@@ -1,0 +1,35 @@
+"""Fixtures that tests of several folders use."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import Run
+
+from imolo.cli import main
+
+
+@pytest.fixture
+def columns() -> int:
+    """Return the width of the terminal."""
+    return 80
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, columns: int) -> Run:
+    """Run `imolo` in this process and in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", str(columns))
+
+    def run_it(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["imolo", *map(str, arguments)])
+        try:
+            main()
+            code: object = 0
+        except SystemExit as ended:
+            code = ended.code or 0
+        captured = capsys.readouterr()
+        assert isinstance(code, int)
+        return code, captured.out, captured.err
+
+    return run_it
