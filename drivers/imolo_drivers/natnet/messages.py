@@ -107,8 +107,8 @@ class Frame:
     """One frame of the cameras.
 
     `timestamp` [s] is Motive's software clock. `mid_exposure`, `data_received` and `transmitted` are ticks of the
-    server's clock; 0 where the cameras do not tell. `precision_time` is seconds and fraction of an external time source;
-    None where the frame has none. `other_markers` is a list for older clients that repeats the markers of rigid bodies
+    server's clock; 0 where the cameras do not tell. `precision_time` is seconds and fraction of an external clock; None
+    where the frame has none. `other_markers` is a list for older clients that repeats the markers of rigid bodies
     without ids; `unlabelled` is what to use.
     """
 

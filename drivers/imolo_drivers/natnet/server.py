@@ -24,6 +24,7 @@ class NatNetServer:
 
     Attributes:
         definitions: What is answered to a client that asks for the models.
+        times_asked: How often a client has asked for the models; one that has is ready for frames.
         unreadable: Packets that could not be decoded.
         unsent: Frames that the network did not take.
     """
@@ -56,6 +57,7 @@ class NatNetServer:
         """
         check_version(version)
         self.definitions = definitions or m.ModelDefinitions()
+        self.times_asked = 0
         self.unreadable = 0
         self.unsent = 0
         self._config = config
@@ -154,6 +156,7 @@ class NatNetServer:
             case m.Disconnect():
                 self._clients.pop(client, None)
             case m.ModelDefinitionsRequest():
+                self.times_asked += 1
                 self._reply(self.definitions, client)
             case m.EchoRequest(sent):
                 self._reply(m.EchoResponse(sent, self.ticks(now)), client)

@@ -8,10 +8,23 @@ from contextlib import contextmanager
 from imolo_drivers.natnet.client import NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig, NatNetServerConfig
 from imolo_drivers.natnet.messages import Frame, ModelDefinitions
+from imolo_drivers.natnet.playback import Playback
 from imolo_drivers.natnet.server import NatNetServer
 from imolo_drivers.natnet.wire import Version
 
 DEADLINE = 20.0  # [s] for a busy machine; nothing takes that long
+
+
+def run_until(
+    server: NatNetServer | Playback, client: NatNetClient, frames: list[Frame], condition: Callable[[], bool]
+) -> None:
+    """Let both talk, collecting the frames, until it is so."""
+    end = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < end, "nothing came"
+        select.select([server, client], [], [], 0.01)
+        server.poll(time.monotonic())
+        frames += client.poll(time.monotonic())
 
 
 class Pair:
@@ -21,12 +34,7 @@ class Pair:
         self.frames: list[Frame] = []
 
     def run_until(self, condition: Callable[[], bool]) -> None:
-        end = time.monotonic() + DEADLINE
-        while not condition():
-            assert time.monotonic() < end, "nothing came"
-            select.select([self.server, self.client], [], [], 0.01)
-            self.server.poll(time.monotonic())
-            self.frames += self.client.poll(time.monotonic())
+        run_until(self.server, self.client, self.frames, condition)
 
     def connect(self) -> None:
         self.run_until(lambda: self.client.definitions is not None)
