@@ -191,6 +191,11 @@ class Interpolation(BaseModel):
     tests: tuple[PairedTest, ...]
     models: tuple[ModelError, ...]
 
+    @property
+    def numbers_of_trials(self) -> tuple[int, ...]:
+        """The values of N_t, in order."""
+        return tuple(dict.fromkeys(bar.trials for bar in self.bars))
+
     def bar(self, trials: int, variant: str) -> Bar:
         """Return one bar."""
         return next(bar for bar in self.bars if (bar.trials, bar.variant) == (trials, variant))

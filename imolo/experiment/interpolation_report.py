@@ -1,6 +1,8 @@
 """Fig. 7 as a table and a figure, beside what the paper says of it."""
 
 from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +23,14 @@ PAPER_TESTS: dict[int, tuple[float, int]] = {8: (0.02, -1), 16: (0.0001, +1), 24
 SIGNIFICANT = 0.05
 VARIANT_COLORS = {WITHOUT: "#9A9A9A", "paper": COLORS[1], "improved": COLORS[0]}
 VARIANT_NAMES = {WITHOUT: "without", "paper": "with, paper's SVR", "improved": "with, GPR (ours)"}
+BARS_TITLE = "Distance of the executed hand to the query, Sec. VI, Fig. 7"
+BARS_NOTE = (
+    "mean ± sd; p: paired t-test of with against without, its sign that of with - without; late: queries without a raw "
+    "tuple within half a time step of t_q. The paper's text gives p values and signs, no means."
+)
+BARS_COLUMNS = ("backend", "N_t", *(f"{VARIANT_NAMES[v]}\nmm" for v in VARIANTS), "late", "p SVR", "p GPR", "p paper")
+MODELS_TITLE = "How far each forward model is off on motions it was not trained on [mm]"
+MODELS_COLUMNS = ("backend", "N_t", "paper's SVR", "same, standardised", "same, C = 10", "GPR")
 
 
 def parse_trials(text: str) -> tuple[int, ...]:
@@ -55,7 +65,7 @@ def findings(study: InterpolationStudy) -> list[tuple[str, str]]:
             theirs = _verdict(p, sign)
             agrees = "as in the paper" if ours == theirs else f"unlike the paper: there {theirs}"
             found.append((name, f"N_t = {test.trials}: the paper's interpolation {ours}, {agrees}."))
-        most = max(bar.trials for bar in result.bars)
+        most = max(result.numbers_of_trials)
         off = {model: 1e3 * (result.model_error(most, model).mean or 0.0) for model in RATED}
         found.append(
             (
@@ -76,40 +86,54 @@ def _verdict(p: float | None, sign: float) -> str:
 
 
 def _bars(study: InterpolationStudy) -> Table:
-    table = Table(
-        title=f"Distance of the executed hand to the query, Sec. VI, Fig. 7; {study.repetitions} repetitions",
-        caption="mean ± sd; p: paired t-test of with against without, its sign that of with - without; late: queries "
-        "without a raw tuple within half a time step of t_q. The paper's text gives p values and signs, no means.",
-        **STYLE,
-    )
-    table.add_column("backend", no_wrap=True, min_width=8)
-    for title in ("N_t", *(f"{VARIANT_NAMES[v]}\nmm" for v in VARIANTS), "late", "p SVR", "p GPR", "p paper"):
+    table = Table(title=f"{BARS_TITLE}; {study.repetitions} repetitions", caption=BARS_NOTE, **STYLE)
+    table.add_column(BARS_COLUMNS[0], no_wrap=True, min_width=8)
+    for title in BARS_COLUMNS[1:]:
         table.add_column(title, justify="right", no_wrap=title[0] == "p")
-    for name, result in study.results.items():
-        for trials in dict.fromkeys(bar.trials for bar in result.bars):
-            table.add_row(
-                name,
-                str(trials),
-                *(millimetres(result.bar(trials, variant).error) for variant in VARIANTS),
-                str(result.bar(trials, WITHOUT).out_of_time),
-                *(_p_value(result, trials, model) for model in MODELS),
-                _paper_p(trials),
-            )
-        table.add_section()
+    _add_rows(table, bar_rows(study))
     return table
+
+
+def bar_rows(study: InterpolationStudy) -> list[tuple[str, ...]]:
+    """Return the cells of `BARS_COLUMNS`, a row for each backend and number of trials."""
+    return [
+        (
+            name,
+            str(trials),
+            *(millimetres(result.bar(trials, variant).error) for variant in VARIANTS),
+            str(result.bar(trials, WITHOUT).out_of_time),
+            *(_p_value(result, trials, model) for model in MODELS),
+            _paper_p(trials),
+        )
+        for name, result in study.results.items()
+        for trials in result.numbers_of_trials
+    ]
 
 
 def _models(study: InterpolationStudy) -> Table:
-    table = Table(title="How far each forward model is off on motions it was not trained on [mm]", **STYLE)
-    models = ("paper", STANDARDIZED, LOOSE, "improved")
-    table.add_column("backend", no_wrap=True, min_width=8)
-    for title in ("N_t", "paper's SVR", "same, standardised", "same, C = 10", "GPR"):
+    table = Table(title=MODELS_TITLE, **STYLE)
+    table.add_column(MODELS_COLUMNS[0], no_wrap=True, min_width=8)
+    for title in MODELS_COLUMNS[1:]:
         table.add_column(title, justify="right")
-    for name, result in study.results.items():
-        for trials in dict.fromkeys(bar.trials for bar in result.bars):
-            table.add_row(name, str(trials), *(millimetres(result.model_error(trials, model)) for model in models))
-        table.add_section()
+    _add_rows(table, model_rows(study))
     return table
+
+
+def model_rows(study: InterpolationStudy) -> list[tuple[str, ...]]:
+    """Return the cells of `MODELS_COLUMNS`, a row for each backend and number of trials."""
+    models = ("paper", STANDARDIZED, LOOSE, "improved")
+    return [
+        (name, str(trials), *(millimetres(result.model_error(trials, model)) for model in models))
+        for name, result in study.results.items()
+        for trials in result.numbers_of_trials
+    ]
+
+
+def _add_rows(table: Table, rows: Sequence[Sequence[str]]) -> None:
+    for _, group in groupby(rows, key=itemgetter(0)):
+        for row in group:
+            table.add_row(*row)
+        table.add_section()
 
 
 def _p_value(result: Interpolation, trials: int, model: str) -> str:
@@ -150,7 +174,7 @@ def draw_study(study: InterpolationStudy) -> Figure:
 
 
 def _draw_bars(axes: Axes, result: Interpolation) -> None:
-    trials: Sequence[int] = list(dict.fromkeys(bar.trials for bar in result.bars))
+    trials = result.numbers_of_trials
     width = 0.8 / len(VARIANTS)
     places = np.arange(len(trials))
     tops = np.zeros(len(trials))

@@ -9,6 +9,17 @@ from typing import Any
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
 from imolo.errors import ResultsError
 from imolo.experiment.attribution import Attribution
+from imolo.experiment.interpolation_report import (
+    BARS_COLUMNS,
+    BARS_NOTE,
+    BARS_TITLE,
+    MODELS_COLUMNS,
+    MODELS_TITLE,
+    bar_rows,
+    findings,
+    model_rows,
+)
+from imolo.experiment.interpolation_study import InterpolationStudy
 from imolo.report.folder import parse, read_text
 
 Context = Mapping[str, Any]
@@ -110,6 +121,19 @@ def attribution_tables(path: Path) -> Context:
     }
 
 
+def interpolation_tables(path: Path) -> Context:
+    """Return the bars and tests of Fig. 7, how far each model is off, and what that says beside the paper."""
+    study = parse(InterpolationStudy, read_text(path), path)
+    said = " ".join(f"{name}: {text}" for name, text in findings(study))
+    return {
+        "note": f"{study.repetitions} repetitions, {study.pool} random motions. {said}",
+        "grids": [
+            Grid(f"{BARS_TITLE}: {BARS_NOTE}", BARS_COLUMNS, bar_rows(study)),
+            Grid(MODELS_TITLE, MODELS_COLUMNS, model_rows(study)),
+        ],
+    }
+
+
 def any_tables(path: Path) -> Context:
     """Return the numbers of any JSON file: lists of records as tables, single values as one."""
     try:
@@ -155,6 +179,11 @@ def _tenths(length: float | None) -> str:
 SECTIONS = (
     Section("ball.json", "Ball models", ball_tables, figures=("ball.png",)),
     Section("attribution.json", "Why the engines differ", attribution_tables, figures=("figures/waterfall.png",)),
-    Section("interpolation.json", "Between the training motions", any_tables, figures=("figures/interpolation.png",)),
+    Section(
+        "interpolation.json",
+        "Between the training motions",
+        interpolation_tables,
+        figures=("figures/interpolation.png",),
+    ),
     Section("transfer.json", "From one engine to another", any_tables, figures=("figures/transfer.png",)),
 )

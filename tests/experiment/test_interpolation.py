@@ -29,8 +29,10 @@ from imolo.experiment.interpolation import (
 from imolo.experiment.interpolation_report import draw_study, findings, parse_trials
 from imolo.experiment.interpolation_study import GRID, InterpolationStudy, _Bench, _without_chance, study
 from imolo.experiment.results import ResultsFolder
+from imolo.experiment.summary import millimetres
 from imolo.method.forward_model import GPR, ForwardModel
 from imolo.method.motion import Theta
+from imolo.report.sections import interpolation_tables
 
 WINDOW = Window(0.13, 0.22)
 FRAMES = np.arange(0.0, 0.7, 1 / 120)
@@ -187,6 +189,17 @@ def test_findings_name_the_paper_and_the_reason(small: tuple[InterpolationStudy,
     assert any(text.startswith("N_t = 8") and "paper" in text for text in texts)
     assert any(text.startswith("why") for text in texts)
     assert not any(text.startswith("N_t = 3") for text in texts)
+
+
+def test_report_shows_the_same_rows_as_the_terminal(small: tuple[InterpolationStudy, Path]) -> None:
+    result, folder = small
+    section = interpolation_tables(folder / "interpolation.json")
+    bars, models = section["grids"]
+    assert [row[:2] for row in bars.rows] == [row[:2] for row in models.rows] == [("mujoco", "3"), ("mujoco", "8")]
+    assert all(len(row) == len(grid.columns) for grid in (bars, models) for row in grid.rows)
+    first = result.results["mujoco"].bar(3, VARIANTS[0]).error
+    assert bars.rows[0][2] == millimetres(first)
+    assert all(text in section["note"] for _, text in findings(result))
 
 
 def test_figure_has_a_panel_for_every_backend(small: tuple[InterpolationStudy, Path]) -> None:
