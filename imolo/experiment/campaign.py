@@ -257,7 +257,7 @@ def load_learned(path: Path, robot: str) -> tuple[LookupTable, BallModel]:
     return _load(path, modified, robot)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=2)  # of some 140 MB each; loky ends a process that grows by more than 300 MB
 def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, BallModel]:
     table = LookupTable.load(path, robot)
     return table, restore_ball_model(table.origin["ball_model"])

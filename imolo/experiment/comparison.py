@@ -195,7 +195,7 @@ def _judge(task: TrialTask) -> TrialResult:
 def _run_groups(
     groups: Mapping[Group, Sequence[TrialTask]], label: Callable[[Group], str], jobs: int, progress: Progress
 ) -> dict[Group, list[TrialTiming]]:
-    """Run the tasks of all groups together, turn by turn, so that no core waits for the slowest backend."""
+    """Run the tasks of all groups, one group after the other: a process then needs one table at a time."""
     owner = {id(task): group for group, tasks in groups.items() for task in tasks}
     done = dict.fromkeys(groups, 0)
     for group, tasks in groups.items():
@@ -206,7 +206,7 @@ def _run_groups(
         done[group] += 1
         progress(label(group), done[group], len(groups[group]))
 
-    ordered = [task for turn in zip_longest(*groups.values()) for task in turn if task is not None]
+    ordered = [task for tasks in groups.values() for task in tasks]
     timings = dict(zip(map(id, ordered), run_tasks(ordered, jobs, count), strict=True))
     return {group: [timings[id(task)] for task in tasks] for group, tasks in groups.items()}
 
