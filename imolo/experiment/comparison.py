@@ -1,7 +1,7 @@
 """The comparison: the same motions, balls and methods on several backends (Sec. VII, for each of them)."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from itertools import combinations, zip_longest
+from itertools import combinations
 from pathlib import Path
 from typing import TypeVar
 
