@@ -4,6 +4,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +32,8 @@ app = typer.Typer(
 )
 app.add_typer(live_commands.app)
 app.add_typer(inspect_commands.app)
+for _installed in entry_points(group="imolo.commands"):
+    app.add_typer(_installed.load())
 console = Console()
 errors = Console(stderr=True)
 
