@@ -60,6 +60,18 @@ class ResultsError(ImoloError):
     """A results folder cannot be read or written."""
 
 
+class NatNetError(ImoloError):
+    """A NatNet packet is damaged or unknown, or the motion capture cannot be reached as configured."""
+
+
+class NatNetVersionError(NatNetError):
+    """The motion capture speaks a version of NatNet that is not supported."""
+
+
+class CalibrationError(ImoloError):
+    """The motion capture's frame cannot be tied to the robot's, or a calibration file cannot be used."""
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return a hint such as `; did you mean 'mujoco'?`, or an empty string where nothing is near."""
     nearest = get_close_matches(name, list(known), n=1)

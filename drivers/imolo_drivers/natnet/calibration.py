@@ -1,0 +1,141 @@
+"""Where the cameras' frame lies in the world: a turn from y-up to z-up, then a fit of known markers.
+
+Motive's frame is right-handed with y up; facing along its z, its x points left. Ours has x forward, y left and z up.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import yaml
+from pydantic import Field, ValidationError, model_validator
+from scipy.spatial.transform import Rotation
+
+from imolo.config.model import Model, NonNegative, Positive, Vector
+from imolo.errors import CalibrationError
+from imolo_drivers.natnet.messages import Array
+
+Z_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Turns Motive's axes into ours: its z is forward, its x left, its y up."""
+
+
+class CalibrationLimits(Model):
+    """What a fit must keep to."""
+
+    max_residual: Positive = Field(
+        0.010, description="root mean square between markers and fit [m], assumed: places measured by hand"
+    )
+    min_spread: Positive = Field(
+        0.05,
+        description="of the markers across their longest line, RMS [m], assumed: 1 mm of noise turns it by 1°",
+    )
+    max_tilt: Positive = Field(5.0, description="of Motive's floor against ours [°], assumed: above is a wrong axis")
+
+
+class Calibration(Model):
+    """A rigid transform from Motive's frame to the world, without scaling.
+
+    `rotation` holds the rows of a rotation matrix; position in the world = rotation · position + translation.
+    """
+
+    rotation: tuple[Vector, Vector, Vector] = tuple(map(tuple, Z_UP.tolist()))  # type: ignore[assignment]
+    translation: Vector = Field((0.0, 0.0, 0.0), description="[m]")
+    residual: NonNegative = Field(0.0, description="root mean square over the markers [m]")
+    markers: tuple[int, ...] = Field((), description="labels of the markers it was fitted to")
+
+    @model_validator(mode="after")
+    def _rotation_is_one(self) -> Self:
+        rotation = np.array(self.rotation)
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0.0:
+            raise ValueError("rotation is not a rotation matrix")
+        return self
+
+    def to_world(self, positions: Array) -> Array:
+        """Return positions of Motive's frame in the world [m], both of shape (N, 3)."""
+        return np.asarray(positions @ np.array(self.rotation).T + np.array(self.translation))
+
+    def to_motive(self, positions: Array) -> Array:
+        """Return positions of the world in Motive's frame [m], both of shape (N, 3)."""
+        return np.asarray((positions - np.array(self.translation)) @ np.array(self.rotation))
+
+    def save(self, path: Path) -> None:
+        """Write a YAML file.
+
+        Raises:
+            CalibrationError: It cannot be written.
+        """
+        try:
+            path.write_text(yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+        except OSError as error:
+            raise CalibrationError(f"cannot write {path}: {error.strerror}") from None
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            CalibrationError: The file is missing or damaged.
+        """
+        try:
+            return cls.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        except OSError as error:
+            raise CalibrationError(f"cannot read {path}: {error.strerror}; calibrate first") from None
+        except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
+            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "it is not YAML"
+            raise CalibrationError(f"{path} is not a calibration: {reason}; calibrate again") from None
+
+
+def fit(
+    measured: Mapping[int, Vector], known: Mapping[int, Vector], limits: CalibrationLimits | None = None
+) -> Calibration:
+    """Fit the transform that brings measured markers closest to where they are known to be (Kabsch).
+
+    Args:
+        measured: Mean positions by label in Motive's frame [m], see `markers.mean_positions`.
+        known: Positions by label in the world [m]; what was not measured is left out.
+        limits: What the fit must keep to.
+
+    Raises:
+        CalibrationError: There are fewer than three markers, they lie on a line, do not fit, or Motive is not y-up.
+    """
+    limits = limits or CalibrationLimits()
+    labels = sorted(measured.keys() & known.keys())
+    if len(labels) < 3:
+        raise CalibrationError(f"a calibration needs 3 markers at known places; the cameras see {labels or 'none'}")
+    motive = np.array([measured[label] for label in labels], dtype=np.float64)
+    world = np.array([known[label] for label in labels], dtype=np.float64)
+    if not np.isfinite(motive).all() or not np.isfinite(world).all():
+        raise CalibrationError(f"a position of the markers {labels} is not a number")
+    motive_mean, world_mean = motive.mean(axis=0), world.mean(axis=0)
+    for name, centred in (("measured", motive - motive_mean), ("known", world - world_mean)):
+        spread = float(np.linalg.svd(centred, compute_uv=False)[1]) / np.sqrt(len(labels))
+        if spread < limits.min_spread:
+            raise CalibrationError(
+                f"the {name} places of the markers {labels} lie on a line within {1e3 * spread:.0f} mm, at least "
+                f"{1e3 * limits.min_spread:.0f} mm are needed; take markers that span a plane"
+            )
+    turned = (motive - motive_mean) @ Z_UP.T
+    correction = Rotation.align_vectors(world - world_mean, turned)[0].as_matrix()
+    tilt = float(np.degrees(np.arccos(np.clip(correction[2, 2], -1.0, 1.0))))
+    rotation = correction @ Z_UP
+    translation = world_mean - rotation @ motive_mean
+    errors = np.linalg.norm(motive @ rotation.T + translation - world, axis=1)
+    residual = float(np.sqrt(np.mean(errors**2)))
+    if residual > limits.max_residual:
+        worst = int(np.argmax(errors))
+        raise CalibrationError(
+            f"the markers {labels} fit only to {1e3 * residual:.1f} mm, at most {1e3 * limits.max_residual:.1f} mm are "
+            f"allowed; marker {labels[worst]} is off by {1e3 * errors[worst]:.1f} mm. Check labels and known places"
+        )
+    if tilt > limits.max_tilt:
+        raise CalibrationError(
+            f"Motive's floor is tilted by {tilt:.0f}° against ours, at most {limits.max_tilt:.0f}° are allowed; set "
+            "its up axis to Y in the streaming settings, and its ground plane"
+        )
+    return Calibration(
+        rotation=tuple(map(tuple, rotation.tolist())),
+        translation=tuple(translation.tolist()),
+        residual=residual,
+        markers=tuple(labels),
+    )

@@ -1,0 +1,222 @@
+"""A NatNet client that never waits: its owner selects on `fileno` and calls `poll`."""
+
+import contextlib
+import logging
+import selectors
+import socket
+from typing import Self
+
+from imolo.errors import NatNetError, NatNetVersionError
+from imolo_drivers.natnet import messages as m
+from imolo_drivers.natnet.clock import ServerClock
+from imolo_drivers.natnet.config import NatNetConfig
+from imolo_drivers.natnet.decoder import decode
+from imolo_drivers.natnet.encoder import encode
+from imolo_drivers.natnet.wire import MAX_PACKET, SUPPORTED
+
+logger = logging.getLogger(__name__)
+
+LATE_FRAMES = 120  # a number up to this far back is a late frame, farther back a restart; assumed: 1 s at 120 Hz
+MOST_PACKETS = 500  # in one poll, so that a flood cannot hold it up; assumed: 4 s at 120 Hz
+REQUEST_VERSION = SUPPORTED[0]  # what a client says looks the same in all of them
+
+
+class NatNetClient:
+    """Talks to Motive and collects its frames; all times are of the monotonic clock [s].
+
+    Attributes:
+        server: What the server said of itself; None before that.
+        definitions: The models it streams; None before it said so.
+        lost: Frames whose numbers never came.
+        late: Frames that came after a later one, or twice, and were left out.
+        unreadable: Packets of the server that could not be decoded.
+        last_problem: What was wrong with the last of those, empty if there was none.
+    """
+
+    def __init__(self, config: NatNetConfig) -> None:
+        """Open the socket; nothing is sent before the first `poll`.
+
+        Raises:
+            NatNetError: This machine does not have the local address.
+        """
+        self.server: m.ServerInfo | None = None
+        self.definitions: m.ModelDefinitions | None = None
+        self.lost = 0
+        self.late = 0
+        self.unreadable = 0
+        self.last_problem = ""
+        self._config = config
+        self._server_address = str(config.server_address)
+        self._local_address = str(config.local_address)
+        self._clock: ServerClock | None = None
+        self._last_number: int | None = None
+        self._last_frame = -float("inf")
+        self._started: float | None = None
+        self._due: dict[type[m.Message], float] = {}
+        self._echo_sent: int | None = None
+        self._data_socket: socket.socket | None = None
+        self._selector = selectors.DefaultSelector()
+        self._command_socket = self._open(self._local_address, 0)
+
+    def fileno(self) -> int:
+        """Return what becomes readable when there is something to `poll`."""
+        return self._selector.fileno()  # type: ignore[no-any-return, attr-defined, unused-ignore]
+
+    def poll(self, now: float) -> list[m.Frame]:
+        """Read what came, say what is due, and return the new frames in order.
+
+        Call it when `fileno` is readable, and at least every `retry_interval`.
+
+        Args:
+            now: Our monotonic clock [s].
+
+        Raises:
+            NatNetVersionError: The server speaks an unsupported version.
+            NatNetError: The multicast group that the server names cannot be joined.
+        """
+        if self._started is None:
+            self._started = now
+        frames: list[m.Frame] = []
+        for _ in range(MOST_PACKETS):
+            readable = self._selector.select(0)
+            if not readable:
+                break
+            for key, _ in readable:
+                self._receive(key.fileobj, now, frames)  # type: ignore[arg-type]
+        self._say_what_is_due(now)
+        return frames
+
+    def silence(self, now: float) -> float:
+        """Return the time since the last frame, or the first poll if there was none [s]; infinity before that."""
+        if self._started is None:
+            return float("inf")
+        return now - max(self._last_frame, self._started)
+
+    def is_lost(self, now: float) -> bool:
+        """Return whether frames are missing for longer than the `silence_limit`."""
+        return self.silence(now) > self._config.silence_limit
+
+    def exposure_time(self, frame: m.Frame) -> tuple[float, float] | None:
+        """Return our time of the middle of a frame's exposure and its greatest error [s].
+
+        None if the cameras do not tell it, or before the first echo.
+        """
+        if self._clock is None or frame.mid_exposure == 0:
+            return None
+        return self._clock.local_time(frame.mid_exposure)
+
+    def close(self) -> None:
+        """Tell the server, and close the sockets."""
+        self._send(m.Disconnect())
+        self._selector.close()
+        self._command_socket.close()
+        if self._data_socket is not None:
+            self._data_socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open(self, address: str, port: int, group: str | None = None) -> socket.socket:
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            opened.setblocking(False)
+            if group is not None:
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                membership = socket.inet_aton(group) + socket.inet_aton(self._local_address)
+                opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            opened.bind((address, port))
+        except OSError as error:
+            opened.close()
+            what = f"the multicast group {group}:{port} of Motive cannot be joined" if group else "no NatNet socket"
+            raise NatNetError(
+                f"{what} on local_address {self._local_address}: {error}; set it to the address of the network card "
+                "towards Motive"
+            ) from None
+        self._selector.register(opened, selectors.EVENT_READ)
+        return opened
+
+    def _receive(self, source: socket.socket, now: float, frames: list[m.Frame]) -> None:
+        try:
+            packet, (address, _port) = source.recvfrom(MAX_PACKET)
+        except OSError:  # nothing there after all, or the network's echo of something that we sent
+            return
+        if address != self._server_address:
+            return
+        try:
+            message = decode(packet, self.server.natnet_version if self.server else None)
+        except NatNetVersionError:
+            raise
+        except NatNetError as problem:
+            self.unreadable += 1
+            self.last_problem = str(problem)
+            logger.debug("unreadable packet from Motive: %s", problem)
+            return
+        match message:
+            case m.Frame():
+                self._take_frame(message, now, frames)
+            case m.ServerInfo():
+                self._take_server(message, now)
+            case m.ModelDefinitions():
+                self.definitions = message
+            case m.EchoResponse(sent, ticks) if sent == self._echo_sent and self._clock is not None:
+                self._echo_sent = None
+                self._clock.add_echo(sent * 1e-9, ticks, now)
+
+    def _take_frame(self, frame: m.Frame, now: float, frames: list[m.Frame]) -> None:
+        if self._last_number is not None:
+            step = frame.number - self._last_number
+            if -LATE_FRAMES <= step <= 0:
+                self.late += 1
+                return
+            self.lost += max(step - 1, 0)
+        self._last_number = frame.number
+        self._last_frame = now
+        if frame.models_changed:
+            self.definitions = None
+        frames.append(frame)
+
+    def _take_server(self, server: m.ServerInfo, now: float) -> None:
+        known, self.server = self.server, server
+        if known == server:
+            return
+        logger.info("%s %s speaks NatNet %d.%d", server.name, server.server_version, *server.natnet_version)
+        self._clock = ServerClock(server.clock_frequency, self._config.clock_drift)
+        self.definitions = None
+        if self._data_socket is not None:
+            self._selector.unregister(self._data_socket)
+            self._data_socket.close()
+            self._data_socket = None
+        if server.multicast_group is not None:
+            self._data_socket = self._open(server.multicast_group, server.data_port, server.multicast_group)
+
+    def _say_what_is_due(self, now: float) -> None:
+        config = self._config
+        if self.server is None or self.silence(now) > max(config.silence_limit, config.retry_interval):
+            self._say(m.Connect(), now, config.retry_interval)
+        if self.server is None:
+            return
+        if self.definitions is None:
+            self._say(m.ModelDefinitionsRequest(), now, config.retry_interval)
+        if self.server.multicast_group is None:
+            self._say(m.KeepAlive(), now, config.keep_alive_interval)
+        sent = round(now * 1e9)
+        if self._say(m.EchoRequest(sent), now, config.echo_interval):
+            self._echo_sent = sent
+
+    def _say(self, message: m.Message, now: float, interval: float) -> bool:
+        """Send a message unless one of its kind was sent less than an interval [s] ago."""
+        kind = type(message)
+        if now < self._due.get(kind, -float("inf")):
+            return False
+        self._due[kind] = now + interval
+        self._send(message)
+        return True
+
+    def _send(self, message: m.Message) -> None:
+        # What cannot be sent now, because the network is down or full, is said again later.
+        with contextlib.suppress(OSError):
+            address = (self._server_address, self._config.command_port)
+            self._command_socket.sendto(encode(message, REQUEST_VERSION), address)
