@@ -78,6 +78,7 @@ class BoardClient:
         offset: Of its clock.
         state: Newest state it told; None before one.
         refusals: What it did not do, the newest last.
+        announced: Whether the board has confirmed what the session is for.
         jumped: Largest contradiction between the clocks [µs], see `ClockOffset.add`.
     """
 
@@ -104,6 +105,7 @@ class BoardClient:
             BackendError: Nobody answers, or the board refuses.
         """
         self.offset, self.state, self.jumped = ClockOffset(), board_state_t(), 0
+        self.announced = False
         self.refusals: deque[board_refusal_t] = deque(maxlen=100)
         self._clock, self._address = clock, address
         self._states: list[board_state_t] = []
@@ -138,7 +140,7 @@ class BoardClient:
         self._send(message)
 
     def announce(self, kind: str, index: int, seed: int) -> None:
-        """Tell the board what the session is for."""
+        """Tell the board what the session is for; it confirms with the same words."""
         message = board_trial_t()
         message.announced_kind, message.announced_index, message.announced_seed = kind, index, seed
         self._send(message)
@@ -210,6 +212,8 @@ class BoardClient:
             self.refusals.append(message)
         elif frame.type is FrameType.WELCOME:
             self.welcome = message
+        elif frame.type is FrameType.TRIAL:
+            self.announced = True
         else:
             raise self._lost(f"the board sent a frame of type {frame.type.name.lower()}")
 

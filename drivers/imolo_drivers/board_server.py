@@ -224,6 +224,7 @@ class BoardServer:
         elif frame.type is FrameType.TRIAL and controller:
             self._say(f"{message.announced_kind} trial {message.announced_index}, seed {message.announced_seed}")
             self._on_trial(message)
+            self._send(connection, message)
         else:
             name = frame.type.name.lower()
             raise RefusedError(RefusalCode.ROLE, f"a {connection.role} may not send a frame of type {name}")

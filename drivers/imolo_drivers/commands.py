@@ -9,6 +9,9 @@ import typer
 app = typer.Typer()
 
 BOARD = "127.0.0.1:7705"  # `imolo_drivers.board_server.PORT`
+MOTIVE_PORT = 1510  # of NatNet's commands
+MOTIVE = f"127.0.0.1:{MOTIVE_PORT}"
+EMULATED_TIMESTEP = 2.5e-4  # [s] a third of a core for MuJoCo; a YAML may ask for another one
 
 BoardAddress = Annotated[str, typer.Argument(metavar="HOST[:PORT]", help="Where the valve board listens.")]
 Listen = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen for the planner's computer.")]
@@ -102,3 +105,39 @@ def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
     if not vented:
         raise BackendError("the board does not say that it is disarmed; close the air supply")
     typer.echo(f"{BoardState(client.state.board_state).name.lower()}: {client.state.state_cause}")
+
+
+@app.command()
+def emulate(
+    engine: Annotated[str, typer.Argument(help="A simulated backend by name, or a YAML that configures it.")],
+    listen: Listen = BOARD,
+    motive: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where Motive is to answer.")] = MOTIVE,
+    armed: Annotated[bool, typer.Option("--armed", help="Arm every trial at once, in the place of a person.")] = False,
+) -> None:
+    """Be the robot on the network: valve board and motion capture, with an engine behind them in real time.
+
+    For `backend: hardware` where no robot is at hand; see configs/hardware.yaml.
+    """
+    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.config.simulation import SimulationConfig
+    from imolo.live.program import Console, until_stopped
+    from imolo_drivers.address import parse_address
+    from imolo_drivers.board import BoardConfig
+    from imolo_drivers.emulator import EmulatedRobot
+    from imolo_drivers.natnet.config import NatNetServerConfig
+
+    if engine.endswith((".yaml", ".yml")):
+        config = load_config(Path(engine))
+    else:
+        simulation = SimulationConfig(timestep=EMULATED_TIMESTEP)
+        config = ExperimentConfig(backend=BackendConfig(name=engine), simulation=simulation)
+        config.backend_options()
+    host, port = parse_address(motive, MOTIVE_PORT)
+    cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
+    console = Console("emulate")
+    with until_stopped() as stop:
+        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, console.say)
+        where = robot.board.address
+        console.say(f"{config.backend.name}: board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}")
+        robot.run(lambda: bool(stop))
+        console.say(f"stopped; {robot.lost:.1f} s lost")

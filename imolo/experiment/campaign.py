@@ -19,6 +19,7 @@ from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
 from imolo.method.planner import Planner
 from imolo.method.table import LookupTable
+from imolo.registry import load_backend
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,8 @@ def run_task(task: TrialTask) -> TrialTiming:
     elif task.table_path is not None:
         table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
+        if not load_backend(config.backend.name).simulated:
+            controller.warm_up()
     begin = time.perf_counter()
     simulated = run_trial(config, trial, controller, task.log_path, duration)
     return TrialTiming(simulated, time.perf_counter() - begin, tuple(decisions))

@@ -21,7 +21,7 @@ from imolo.method.hit_choice import HitChooser, HitConfig
 from imolo.method.hit_kernel import BallPath
 from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
 from imolo.method.table import Executed, LookupTable
-from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
+from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t
 
 Array = NDArray[np.float64]
 
@@ -126,6 +126,22 @@ class Planner:
         self._bus = bus
         bus.subscribe(channels.TRIAL, self._on_trial)
         bus.subscribe(channels.MOCAP, self._on_frame)
+
+    def warm_up(self) -> None:
+        """Load and compile by a made-up flight what takes seconds at first: a robot in real time cannot wait for it."""
+        bus = Bus()
+        Planner(self._table, self._ball_model, self._config, self._tracker.config).attach(bus)
+        for number in range(1, 61):
+            time = number / 120.0
+            robot, ball = marker_t(), marker_t()
+            robot.marker_id, robot.marker_position = 0, [0.0, 0.0, 0.8]
+            ball.marker_id = marker_t.UNLABELLED
+            ball.marker_position = [5.0 - 6.0 * time, 0.0, 1.1 + 4.0 * time - 4.9 * time**2]
+            frame = mocap_frame_t()
+            frame.utime, frame.frame_number = to_microseconds(time), number
+            frame.num_markers, frame.markers = 2, [robot, ball]
+            bus.publish(channels.MOCAP, frame)
+        bus.drain()
 
     def _on_frame(self, frame: mocap_frame_t) -> None:
         begin = time.perf_counter()
