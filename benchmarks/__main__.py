@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import live, loop, planner, table
+from benchmarks import hardware, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.experiment.results import installed_versions
@@ -28,6 +28,8 @@ def measure(console: Console) -> Iterator[Measurement]:
             continue
         with console.status(f"loop, {engine}"):
             yield from loop.run(engine)
+    with console.status("valve board"):
+        yield from hardware.run()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with console.status("learning"):

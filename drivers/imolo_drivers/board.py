@@ -21,6 +21,7 @@ from imolo_msgs import board_state_t, valve_command_t
 
 VENTED_PRESSURE = (0.0,) * NUM_VALVES
 NEVER = 2**62  # [µs]
+VENT_MARGIN = 2000  # [µs] before the watchdog time is over, so that a late wake-up still vents within it
 
 
 class BoardConfig(Model):
@@ -30,7 +31,7 @@ class BoardConfig(Model):
     robot: str = Field("liberobot", description="told to whoever connects; a table of another robot is refused there")
     watchdog: Annotated[float, Field(ge=0.01, le=1.0)] = Field(
         0.1,
-        description="without a valid command while a motion runs, or without any frame while armed [s]: vent, latch",
+        description="without a valid command in a motion or any frame while armed, vent and latch within this time [s]",
     )
     pressure_limit: Annotated[float, Field(gt=0.0, le=SUPPLY_PRESSURE)] = Field(
         SUPPLY_PRESSURE, description="higher targets are clamped [Pa]; lower it for the first start"
@@ -109,7 +110,8 @@ class Board:
         self.state, self.cause = BoardState.VENTED, "just started"
         self.session, self.dry_run = 0, config.dry_run
         self._config, self._valves = config, valves
-        self._watchdog, self._window = to_microseconds(config.watchdog), to_microseconds(config.time_window)
+        self._watchdog = to_microseconds(config.watchdog) - VENT_MARGIN
+        self._window = to_microseconds(config.time_window)
         self._utime = self._heard = utime
         self._message = board_state_t()
         self._given: Sequence[float] | None = None

@@ -23,6 +23,9 @@ def board(
     config: Annotated[Path | None, typer.Argument(help="YAML of the board, see docs/hardware.md.")] = None,
     listen: Listen = BOARD,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but move.")] = False,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Go before every other program (SCHED_FIFO); needs root.")
+    ] = False,
 ) -> None:
     """Run the valve board: follow commands, tell pressures, vent when control is lost.
 
@@ -32,7 +35,7 @@ def board(
     from imolo.live.program import Console, until_stopped
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
-    from imolo_drivers.board_server import BoardServer
+    from imolo_drivers.board_server import BoardServer, go_first
     from imolo_drivers.valve_io import IioValves, SimulatedValves
 
     chosen = read_model(config, BoardConfig, "name its converters under `iio`") if config else BoardConfig()
@@ -42,6 +45,8 @@ def board(
     with until_stopped() as stop:
         valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
         server = BoardServer(chosen, valves, where, console.say)
+        if realtime:
+            go_first()
         kind = "IIO converters" if chosen.iio else "simulated valves"
         dry = ", dry run" if chosen.dry_run else ""
         console.say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, vented")
