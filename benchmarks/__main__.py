@@ -39,6 +39,8 @@ def measure(console: Console) -> Iterator[Measurement]:
                 measurements, built = table.run(learned, method)
                 yield from measurements
                 yield from planner.run(learned, method, built, folder)
+        with console.status("emulated robot"):
+            yield from hardware.run_campaign(folder, folder / f"{method}.npz", method)
         obstacle = live.obstacle()
         if obstacle:
             console.print(f"the session over the network is not measured: {obstacle}")

@@ -1,12 +1,17 @@
-"""The valve board on loopback: how soon it follows a command, how exactly it switches, how soon it vents."""
+"""The hardware side on loopback: how soon the board follows, switches and vents, and a campaign on the emulator."""
 
+import json
 import os
+import re
 import select
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 
 import numpy as np
+import yaml
 
 from benchmarks.measurement import Measurement
 from imolo.method.motion import NUM_VALVES, Commands
@@ -20,12 +25,47 @@ RATE = 120.0  # [Hz] of the commands, one per camera frame
 PHASES = 40  # in a motion; each one has another pressure
 PHASE = 20_000  # [µs]
 MOTIONS = 10
+IMOLO = (sys.executable, "-m", "imolo.cli")
+BALLS, MISSES = 20, 4
+PATIENCE = 300.0  # [s]
 MEDIAN, P99, SWITCH = 0.5, 2.0, 1.0  # [ms] targets
+
+
+def run_campaign(folder: Path, table_path: Path, method: str) -> list[Measurement]:
+    """Hit balls as `backend: hardware`, through TCP and UDP, with MuJoCo behind `imolo emulate`.
+
+    Whether a ball was hit is told from the cameras; the emulator says what happened in truth.
+    """
+    config = folder / "hardware.yaml"
+    emulate = [*IMOLO, "emulate", "mujoco", "--armed", "--listen", "127.0.0.1:0", "--motive", "127.0.0.1:0"]
+    said: list[str] = []
+    with subprocess.Popen(emulate, stderr=subprocess.PIPE, text=True) as emulator:
+        try:
+            assert emulator.stderr is not None
+            ports = re.findall(r"127\.0\.0\.1:(\d+)", emulator.stderr.readline())
+            listener = threading.Thread(target=lambda: said.extend(emulator.stderr or ()))
+            listener.start()
+            backend = {"name": "hardware", "board": f"127.0.0.1:{ports[0]}", "cameras": {"command_port": int(ports[1])}}
+            config.write_text(yaml.safe_dump({"backend": backend}))
+            out = folder / "hardware"
+            hit = [*IMOLO, "hit", config, table_path, "--method", method, "--balls", BALLS, "--jobs", 1, "--out", out]
+            subprocess.run(list(map(str, hit)), stdout=subprocess.DEVNULL, timeout=PATIENCE, check=True)
+        finally:
+            emulator.terminate()
+            emulator.wait(PATIENCE)
+        listener.join()
+    result = json.loads((out / "summary.json").read_text())
+    in_truth = sum("in truth: hit" in line for line in said)
+    subject = "robot emulated by MuJoCo"
+    return [
+        Measurement(subject, f"balls missed of {BALLS}", result["balls"] - result["hits"], "", MISSES),
+        Measurement(subject, "hits by the cameras less hits in truth", abs(result["hits"] - in_truth), "", 0),
+    ]
 
 
 def run() -> list[Measurement]:
     """Run `imolo board` with simulated valves as a process of its own, and play motions at the rate of the cameras."""
-    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    command = [*IMOLO, "board", "--listen", "127.0.0.1:0"]
     realtime = os.geteuid() == 0
     command += ["--realtime"] * realtime
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as board:
