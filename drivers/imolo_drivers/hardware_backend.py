@@ -102,6 +102,7 @@ class HardwareBackend:
         self._asked = self._heard_board = 0
         self._newest_frame = self._newest_state = 0
         self._first_state = -1
+        self._first_frame = 0
         self._onset: int | None = None
         self._cameras_lost = False
 
@@ -118,6 +119,7 @@ class HardwareBackend:
             NatNetError: The cameras cannot be understood.
         """
         self._bus, self._trial = bus, trial
+        self._detector.warm_up()
         # A collection takes longer than the robot's time between two frames; it can wait until the trial is over.
         gc.collect()
         gc.disable()
@@ -287,6 +289,8 @@ class HardwareBackend:
             return  # exposed before the trial began
         self._newest_frame = utime
         message = mocap_frame(frame, utime, self._labels, self._calibration)
+        self._first_frame = self._first_frame or frame.number
+        message.frame_number = frame.number - self._first_frame + 1
         self._guard.repair(message)
         if not self._wrong_labels and (self._guard.renamed or self._guard.removed):
             self._wrong_labels = True

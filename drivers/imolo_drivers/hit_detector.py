@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from imolo.backend import EventName
 from imolo.ball.aerodynamic import AerodynamicBallModel
-from imolo.ball.tracker import BallTracker, BallTrackerConfig
+from imolo.ball.tracker import BallTracker, BallTrackerConfig, made_up_flight
 from imolo.config.model import Model, NonNegative, Positive, Vector
 from imolo.config.simulation import BallConfig
 from imolo_msgs import marker_t, mocap_frame_t
@@ -101,6 +101,12 @@ class HitDetector:
         self._suspects: list[tuple[int, Array]] = []
         self._arms: dict[Arm, list[tuple[int, Array]]] = {arm: [] for arm in config.arms}
         self._told: set[EventName] = set()
+
+    def warm_up(self) -> None:
+        """Load and compile what takes a second at first."""
+        twin = HitDetector(self._config, self._tracker.config)
+        for frame in made_up_flight():
+            twin.update(frame)
 
     def update(self, frame: mocap_frame_t) -> list[BallEvent]:
         """Take a frame and return what it shows to have happened, each event once."""

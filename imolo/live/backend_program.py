@@ -13,7 +13,7 @@ from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import BackendError, BusError, ResultsError, TrialVoidError
+from imolo.errors import BackendError, BusError, ConfigError, ResultsError, TrialVoidError
 from imolo.experiment.campaign import log_name
 from imolo.experiment.trial import Bystander, run_trial
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
@@ -21,6 +21,7 @@ from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.remote_planner import LockstepPlanner, RealtimePlanner
 from imolo.log import read_log
+from imolo.registry import load_backend
 from imolo_msgs import throw_report_t, throw_request_t
 
 WARM_UP = 0.02  # [s] of a trial in which everything is loaded and compiled
@@ -45,6 +46,7 @@ class BackendProgram:
 
         Raises:
             BackendError: The backend refuses the scene.
+            ConfigError: A robot is to run in lock-step.
             ResultsError: The folder cannot be written.
         """
         # A trial has a bus of its own; the network hears what passes on it.
@@ -55,7 +57,10 @@ class BackendProgram:
         except OSError as error:
             raise ResultsError(f"cannot write logs to {folder}: {error.strerror}; choose another --out") from error
         self._index = _next_index(folder)
-        self._warm_up()
+        if self._simulated():
+            self._warm_up()
+        elif clock is ClockMode.LOCKSTEP:
+            raise ConfigError(f"{config.backend.name!r} is a robot and waits for nobody; give --clock realtime")
         identity = Identity(Role.BACKEND, config.robot.name, clock.value, shared_sections(config))
         self._node = Node(bus, identity, console.say)
         planner = RealtimePlanner if clock is ClockMode.REALTIME else LockstepPlanner
@@ -155,6 +160,9 @@ class BackendProgram:
         report.throws_done, report.throws_asked = request.done, request.asked
         report.report = text
         self._bus.publish(channels.THROW_REPORT, report)
+
+    def _simulated(self) -> bool:
+        return load_backend(self._config.backend.name).simulated
 
     def _warm_up(self) -> None:
         """Load and compile, so that neither the first heartbeats nor the first trial are late."""

@@ -13,7 +13,7 @@ from pydantic import Field
 from imolo import channels
 from imolo.backend import EventName
 from imolo.ball.model import BallModel
-from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig
+from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig, made_up_flight
 from imolo.bus import Bus
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.errors import TableFileError
@@ -21,7 +21,7 @@ from imolo.method.hit_choice import HitChooser, HitConfig
 from imolo.method.hit_kernel import BallPath
 from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
 from imolo.method.table import Executed, LookupTable
-from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t
+from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
 
 Array = NDArray[np.float64]
 
@@ -131,15 +131,7 @@ class Planner:
         """Load and compile by a made-up flight what takes seconds at first: a robot in real time cannot wait for it."""
         bus = Bus()
         Planner(self._table, self._ball_model, self._config, self._tracker.config).attach(bus)
-        for number in range(1, 61):
-            time = number / 120.0
-            robot, ball = marker_t(), marker_t()
-            robot.marker_id, robot.marker_position = 0, [0.0, 0.0, 0.8]
-            ball.marker_id = marker_t.UNLABELLED
-            ball.marker_position = [5.0 - 6.0 * time, 0.0, 1.1 + 4.0 * time - 4.9 * time**2]
-            frame = mocap_frame_t()
-            frame.utime, frame.frame_number = to_microseconds(time), number
-            frame.num_markers, frame.markers = 2, [robot, ball]
+        for frame in made_up_flight():
             bus.publish(channels.MOCAP, frame)
         bus.drain()
 

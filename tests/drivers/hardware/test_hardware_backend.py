@@ -16,6 +16,9 @@ from imolo.bus import Bus
 from imolo.errors import BackendError, ConfigError, NatNetError, NatNetVersionError, TrialVoidError
 from imolo.experiment.trainer import MotionPlayer
 from imolo.experiment.trial import Bystander
+from imolo.live.backend_program import BackendProgram
+from imolo.live.identity import ClockMode
+from imolo.live.program import Console, Stop
 from imolo.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.registry import ready_simulations
@@ -326,3 +329,17 @@ def test_sockets_are_closed_when_the_start_fails() -> None:
 
 def test_no_command_without_a_config_chooses_the_robot() -> None:
     assert "hardware" not in ready_simulations()
+
+
+def test_robot_is_not_run_in_lock_step(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        chosen = config(robot)
+    with pytest.raises(ConfigError, match="waits for nobody; give --clock realtime"):
+        BackendProgram(chosen, memory_bus(), ClockMode.LOCKSTEP, tmp_path, Stop(), Console("backend"))
+
+
+def test_frames_of_a_trial_are_numbered_from_one(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        for name in ("one", "two"):
+            log = play(config(robot), tmp_path / name, Bystander(), 0.1)
+            assert log.messages[channels.MOCAP][0].frame_number == 1
