@@ -50,7 +50,9 @@ class NatNetConfig(Model):
         "127.0.0.1", validate_default=True, description="of our network card towards it"
     )
     command_port: Port = Field(1510, description="of Motive, its default")
-    silence_limit: Positive = Field(0.05, description="frames missing for longer are a lost stream [s], 6 at 120 Hz")
+    silence_limit: Positive = Field(
+        0.045, description="frames missing for longer are a lost stream [s]: 5 at 120 Hz, told within 50 ms"
+    )
     retry_interval: Positive = Field(0.2, description="between two questions without answer [s], assumed")
     keep_alive_interval: Positive = Field(1.0, description="between two signs of life in unicast [s], assumed")
     echo_interval: Positive = Field(0.1, description="between two questions for the server's clock [s], assumed")

@@ -12,7 +12,7 @@ import typer
 from imolo.errors import ImoloError, MissingToolError, NatNetError
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.decoder import decode
-from imolo_drivers.natnet.messages import ModelDefinitions, ServerInfo
+from imolo_drivers.natnet.messages import Frame, ModelDefinitions, ServerInfo
 from imolo_drivers.natnet.server import NatNetServer
 from imolo_drivers.natnet.wire import HEADER, MessageId
 
@@ -74,6 +74,9 @@ class Playback:
         self._speed = speed
         self._next = 0
         self._started: float | None = None
+        first = decode(recording.frames[0][1], recording.server.natnet_version) if recording.frames else None
+        transmitted = first.transmitted if isinstance(first, Frame) else 0
+        self._first_transmission = transmitted / recording.server.clock_frequency
         self._server = NatNetServer(
             config,
             recording.server.natnet_version,
@@ -100,6 +103,8 @@ class Playback:
             if not self._server.times_asked:
                 return
             self._started = now
+            # From here on the server's clock is that of the recording.
+            self._server.clock_start = now - self._first_transmission
         for _ in range(MOST_FRAMES):
             if self.over:
                 break

@@ -24,6 +24,7 @@ class NatNetServer:
 
     Attributes:
         definitions: What is answered to a client that asks for the models.
+        clock_start: Monotonic time at which the server's clock shows 0 [s].
         times_asked: How often a client has asked for the models; one that has is ready for frames.
         unreadable: Packets that could not be decoded.
         unsent: Frames that the network did not take.
@@ -62,7 +63,7 @@ class NatNetServer:
         self.unsent = 0
         self._config = config
         self._version = version
-        self._clock_start = clock_start
+        self.clock_start = clock_start
         self._clients: dict[Address, float] = {}  # when each was last heard
         self._group = None if config.multicast_group is None else str(config.multicast_group)
         self._info = m.ServerInfo(name, server_version, version, clock_frequency, config.data_port, self._group)
@@ -95,7 +96,7 @@ class NatNetServer:
 
     def ticks(self, now: float) -> int:
         """Return what the server's clock shows at a time [s]."""
-        return round((now - self._clock_start) * self._info.clock_frequency)
+        return round((now - self.clock_start) * self._info.clock_frequency)
 
     def poll(self, now: float) -> None:
         """Answer what came, and forget unicast clients that have been silent for the `client_timeout`."""

@@ -77,7 +77,7 @@ def check_version(version: Version) -> None:
     if version not in SUPPORTED:
         raise NatNetVersionError(
             f"NatNet {version[0]}.{version[1]} is not supported, only {', '.join(f'{a}.{b}' for a, b in SUPPORTED)}; "
-            "Motive 2.0 to 3.1 speak these"
+            "use a version of Motive that speaks one of these"
         )
 
 

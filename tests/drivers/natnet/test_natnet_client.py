@@ -1,10 +1,18 @@
 """Client and server over UDP: handshake, frames, loss, clocks, restarts."""
 
+import socket
+import time
+
 import pytest
 from live.network import namespace
-from natnet_pair import Pair, pair
+from natnet_pair import DEADLINE, Pair, pair, run_until
 
-from imolo_drivers.natnet.messages import Frame, LabelledMarker, ModelDefinitions, RigidBodyDefinition
+from imolo.errors import NatNetError, NatNetVersionError
+from imolo_drivers.natnet.client import NatNetClient
+from imolo_drivers.natnet.config import NatNetConfig, NatNetServerConfig
+from imolo_drivers.natnet.encoder import encode
+from imolo_drivers.natnet.messages import Frame, LabelledMarker, ModelDefinitions, RigidBodyDefinition, ServerInfo
+from imolo_drivers.natnet.server import NatNetServer
 from imolo_drivers.natnet.wire import SUPPORTED, Version
 
 DEFINITIONS = ModelDefinitions((RigidBodyDefinition("liberobot", 3),))
@@ -47,3 +55,136 @@ def test_missing_numbers_are_lost_frames_and_old_ones_are_left_out() -> None:
         assert [frame.number for frame in frames] == [10, 11, 14, 15]
         assert link.client.lost == 2
         assert link.client.late == 2
+
+
+def test_a_silent_stream_is_lost_after_the_limit_and_found_again_with_the_next_frame() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        send_and_receive(link, 1)
+        last = time.monotonic()
+        link.frames += link.client.poll(last)
+        silence = link.client.silence(last)
+        assert not link.client.is_lost(last - silence + 0.0449)
+        assert link.client.is_lost(last - silence + 0.0451)
+        send_and_receive(link, 2)
+        assert link.client.silence(time.monotonic()) < silence + time.monotonic() - last
+
+
+def test_a_client_without_server_counts_its_silence_from_the_first_poll() -> None:
+    with NatNetClient(NatNetConfig(command_port=free_port())) as client:
+        assert client.is_lost(0.0)
+        assert client.poll(100.0) == []
+        assert client.silence(100.04) == pytest.approx(0.04)
+        assert not client.is_lost(100.044)
+        assert client.is_lost(100.046)
+
+
+@pytest.mark.parametrize(("exposed", "number"), [(12.5, 1), (1e6 + 1 / 3, 2)])
+def test_the_exposure_is_told_in_our_time_with_an_error_that_holds(exposed: float, number: int) -> None:
+    # The server's clock began long before ours, so that only echoes can tell what it shows.
+    with pair((3, 1), clock_start=-3600.0, echo_interval=0.001) as link:
+        link.connect()
+        link.run_until(lambda: link.client.exposure_time(frame(1, mid_exposure=1)) is not None)
+        found = link.client.exposure_time(frame(number, mid_exposure=link.server.ticks(exposed)))
+        assert found is not None
+        assert abs(found[0] - exposed) <= found[1] + 1e-7
+        # A second's distance may add what the clocks drift apart.
+        later = link.client.exposure_time(frame(number, mid_exposure=link.server.ticks(exposed + 1.0)))
+        assert later is not None
+        assert later[0] - found[0] == pytest.approx(1.0, abs=1e-6)
+        assert abs(later[1] - found[1]) == pytest.approx(1e-4, abs=1e-9)
+
+
+def test_cameras_that_do_not_tell_the_exposure_have_none() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        assert link.client.exposure_time(frame(1, mid_exposure=0)) is None
+
+
+def test_frames_go_on_when_the_server_was_started_again() -> None:
+    with pair((3, 0), definitions=DEFINITIONS) as link:
+        link.connect()
+        send_and_receive(link, 5000)
+        port = link.server.port
+        link.server.close()
+        while not link.client.is_lost(time.monotonic()):
+            link.frames += link.client.poll(time.monotonic())
+        changed = ModelDefinitions((RigidBodyDefinition("liberobot", 4),))
+        with NatNetServer(NatNetServerConfig(command_port=port), (4, 1), definitions=changed) as again:
+            run_until(again, link.client, link.frames, lambda: link.client.definitions == changed)
+            again.send(frame(1))
+            run_until(again, link.client, link.frames, lambda: link.frames[-1] == frame(1))
+        assert link.client.lost == 0
+
+
+def test_changed_models_are_asked_for_again() -> None:
+    with pair((4, 0), definitions=DEFINITIONS) as link:
+        link.connect()
+        link.server.definitions = ModelDefinitions()
+        link.server.send(frame(1, flags=2))
+        link.run_until(lambda: link.client.definitions == ModelDefinitions())
+
+
+def test_a_unicast_client_that_falls_silent_is_dropped_and_one_that_says_goodbye_at_once() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        now = time.monotonic()
+        assert len(link.server.clients) == 1
+        link.server.poll(now + 9.0)
+        assert len(link.server.clients) == 1
+        link.server.poll(now + 30.0)
+        assert link.server.clients == ()
+    with pair((4, 1)) as link:
+        link.connect()
+        link.client.close()
+        while link.server.clients:
+            link.server.poll(time.monotonic())
+
+
+def test_damaged_packets_are_counted_and_the_stream_goes_on() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        link.server.send_packet(encode(frame(1), (4, 1))[:-9])
+        link.server.send_packet(b"\x07")
+        assert send_and_receive(link, 2) == [frame(2)]
+        assert link.client.unreadable == 2
+        assert "truncated packet" in link.client.last_problem
+
+
+def test_packets_of_strangers_are_ignored() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.bind(("127.0.0.2", 0))
+            stranger.sendto(encode(frame(99), (4, 1)), link.server.clients[0])
+        assert send_and_receive(link, 1) == [frame(1)]
+
+
+def test_a_server_of_an_unknown_version_is_refused() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        with NatNetClient(NatNetConfig(command_port=server.getsockname()[1])) as client:
+            client.poll(0.0)
+            _, address = server.recvfrom(1000)
+            server.sendto(encode(ServerInfo("Motive", (1, 10, 0, 0), (2, 10), 1000, 1511, None), (3, 0)), address)
+            with pytest.raises(NatNetVersionError, match=r"NatNet 2\.10 is not supported, only 3\.0, 3\.1, 4\.0, 4\.1"):
+                poll_for_long(client)
+
+
+def test_an_address_of_another_machine_is_refused() -> None:
+    with pytest.raises(NatNetError, match=r"local_address 192\.0\.2\.1"):
+        NatNetClient(NatNetConfig(local_address="192.0.2.1"))
+    with pytest.raises(NatNetError, match=r"192\.0\.2\.1:1510"):
+        NatNetServer(NatNetServerConfig(address="192.0.2.1"))
+
+
+def poll_for_long(client: NatNetClient) -> None:
+    end = time.monotonic() + DEADLINE
+    while time.monotonic() < end:
+        client.poll(0.0)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
