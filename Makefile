@@ -8,7 +8,7 @@ READY := .venv/.ready
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow lint bench messages clean
+.PHONY: help demo ode test test-slow lint bench messages headers clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -36,8 +36,12 @@ bench: $(READY) ## Measure speed; prints a table and writes benchmarks/results.j
 messages: $(READY) ## Generate lcmtypes/imolo_msgs from lcmtypes/*.lcm.
 	cd lcmtypes && ../$(BIN)/lcm-gen --python --ppath . *.lcm
 
+headers: $(READY) ## Write C structs of the valve board's messages to build/board, for firmware.
+	mkdir -p build/board
+	cd lcmtypes && ../$(BIN)/lcm-gen --c --c-no-pubsub --c-cpath ../build/board --c-hpath ../build/board board_*.lcm valve_command_t.lcm
+
 clean: ## Remove the environment and everything generated.
-	rm -rf .venv results .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv build results .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
 $(READY): pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -m venv .venv

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import campaign, live, loop, planner, table
+from benchmarks import campaign, hardware, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.experiment.results import installed_versions
@@ -28,6 +28,8 @@ def measure(console: Console) -> Iterator[Measurement]:
             continue
         with console.status(f"loop, {engine}"):
             yield from loop.run(engine)
+    with console.status("valve board"):
+        yield from hardware.run()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with console.status("campaign"):
@@ -39,6 +41,8 @@ def measure(console: Console) -> Iterator[Measurement]:
                 measurements, built = table.run(learned, method)
                 yield from measurements
                 yield from planner.run(learned, method, built, folder)
+        with console.status("emulated robot"):
+            yield from hardware.run_campaign(folder, folder / f"{method}.npz", method)
         obstacle = live.obstacle()
         if obstacle:
             console.print(f"the session over the network is not measured: {obstacle}")

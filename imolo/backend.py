@@ -104,6 +104,7 @@ class BackendPlugin:
         ingredients: What can be exchanged in it, for `imolo attribute`: by ingredient, the alternative settings, each
             a set of the backend's options.
         robot: What its robot looks like; None where that is not known.
+        simulated: Whether it may be run unasked; a robot moves only for who names its backend.
     """
 
     summary: str
@@ -113,3 +114,4 @@ class BackendPlugin:
     limitations: tuple[Limitation, ...] = ()
     ingredients: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     robot: RobotDescription | None = None
+    simulated: bool = True

@@ -4,6 +4,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from imolo.errors import BackendNotFoundError, ConfigError, ImoloError, did_you_mean
+from imolo.errors import ConfigError, ImoloError, did_you_mean
 from imolo.inspect import commands as inspect_commands
 from imolo.live import commands as live_commands
 
@@ -32,6 +33,8 @@ app = typer.Typer(
 )
 app.add_typer(live_commands.app)
 app.add_typer(inspect_commands.app)
+for _installed in entry_points(group="imolo.commands"):
+    app.add_typer(_installed.load())
 console = Console()
 errors = Console(stderr=True)
 
@@ -364,14 +367,11 @@ def _kept_in(out: Path) -> Callable[[], str]:
 
 def _load_all(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
     from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
-    from imolo.registry import backend_names, backend_status
+    from imolo.registry import ready_simulations
 
     if paths:
         return [load_config(path) for path in paths]
-    ready = [name for name in backend_names() if backend_status(name).plugin is not None]
-    if not ready:
-        raise BackendNotFoundError("no backend is ready; `imolo backends` says what to install")
-    return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready]
+    return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready_simulations()]
 
 
 def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":

@@ -58,6 +58,19 @@ def load_backend(name: str) -> BackendPlugin:
     return status.plugin
 
 
+def ready_simulations() -> list[str]:
+    """Return the names of the simulated backends that are ready, in alphabetical order.
+
+    Raises:
+        BackendNotFoundError: There are none.
+    """
+    plugins = {name: backend_status(name).plugin for name in backend_names()}
+    ready = [name for name, plugin in plugins.items() if plugin is not None and plugin.simulated]
+    if not ready:
+        raise BackendNotFoundError("no backend is ready; `imolo backends` says what to install")
+    return ready
+
+
 def describe_robot(name: str) -> RobotDescription | None:
     """Return what a robot looks like, from any backend that is ready and has it; None if none has."""
     for backend in backend_names():

@@ -24,6 +24,7 @@ COMMANDS = (
     *("backends", "check", "attribute", "compare", "learn", "hit", "ball", "interpolation", "report"),
     *("spy", "top", "replay", "diff", "export", "plot", "view"),
     *("backend", "planner", "record", "throw", "up"),
+    *("board", "arm", "disarm", "emulate"),
 )
 GOOD = "backend: {name: mujoco}\n"
 

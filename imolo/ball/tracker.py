@@ -2,6 +2,7 @@
 
 import logging
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -278,6 +279,20 @@ class BallTracker:
         if message not in self._warned:
             self._warned.add(message)
             logger.warning(message, utime)
+
+
+def made_up_flight() -> Iterator[mocap_frame_t]:
+    """Yield half a second of frames of a ball that flies at a robot, to compile by what follows it."""
+    for number in range(1, 61):
+        time = number / 120.0
+        robot, ball = marker_t(), marker_t()
+        robot.marker_id, robot.marker_position = 0, [0.0, 0.0, 0.8]
+        ball.marker_id = marker_t.UNLABELLED
+        ball.marker_position = [5.0 - 6.0 * time, 0.0, 1.1 + 4.0 * time - 4.9 * time**2]
+        frame = mocap_frame_t()
+        frame.utime, frame.frame_number = round(time * 1e6), number
+        frame.num_markers, frame.markers = 2, [robot, ball]
+        yield frame
 
 
 def _mahalanobis(difference: Array, covariance: Array) -> Array:

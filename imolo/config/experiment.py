@@ -3,16 +3,16 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTrackerConfig
 from imolo.config.model import Model, NonNegative, Positive
+from imolo.config.reading import explain, read_model
 from imolo.config.simulation import SimulationConfig
-from imolo.errors import ConfigError, did_you_mean
+from imolo.errors import ConfigError
 from imolo.method.forward_model import GPR, ForwardModelConfig
 from imolo.method.motion import TRAINING_MOTIONS, MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
@@ -128,48 +128,6 @@ def load_config(path: Path) -> ExperimentConfig:
         ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
         BackendNotFoundError: Its backend is unknown or not installed.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path} holds no settings; it needs at least a line such as `backend: {{name: mujoco}}`")
-    try:
-        config = ExperimentConfig.model_validate(content)
-    except ValidationError as error:
-        raise ConfigError(explain(error, ExperimentConfig, str(path))) from error
+    config = read_model(path, ExperimentConfig, "it needs at least a line such as `backend: {name: mujoco}`")
     config.backend_options()
     return config
-
-
-def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
-    """Return one line that names the first wrong key or value, and the nearest right key."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _keys_beside(model, first["loc"])
-        message = f"unknown key {key!r}{did_you_mean(str(first['loc'][-1]), known)}"
-        if known:
-            message += f" (known: {', '.join(known)})"
-    elif first["type"] == "missing":
-        message = f"{key!r} is missing"
-    else:
-        message = f"{key!r} is {first['input']!r}: {first['msg'].removeprefix('Value error, ')}"
-    others = len(error.errors()) - 1
-    return f"{where}: {message}" + (f" (and {others} more)" if others else "")
-
-
-def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that are known where `location` ends."""
-    current: Any = model
-    for part in location[:-1]:
-        if get_origin(current) is dict:
-            current = get_args(current)[1]
-            continue
-        fields = getattr(current, "model_fields", {})
-        if part not in fields:
-            return []
-        current = fields[part].annotation
-    return sorted(getattr(current, "model_fields", {}))

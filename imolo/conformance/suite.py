@@ -12,8 +12,8 @@ from imolo.backend import BackendPlugin
 from imolo.config.experiment import load_config
 from imolo.config.model import Model
 from imolo.conformance.check import Check, Outcome, Verdict, run_check
-from imolo.errors import BackendNotFoundError, ConfigError, did_you_mean
-from imolo.registry import GROUP, backend_names, backend_status, load_backend
+from imolo.errors import ConfigError, did_you_mean
+from imolo.registry import GROUP, load_backend, ready_simulations
 
 
 @dataclass(frozen=True)
@@ -89,17 +89,13 @@ def suites(arguments: Sequence[str | Suite]) -> list[Suite]:
     """Return what is to be checked.
 
     Args:
-        arguments: Names of backends, paths of configs, and suites; none for every backend that is ready.
+        arguments: Names of backends, paths of configs, and suites; none for every simulated backend that is ready.
 
     Raises:
         BackendNotFoundError: A backend is unknown or not installed, or none is ready.
         ConfigError: A config cannot be used, or two would be reported under one label.
     """
-    if not arguments:
-        arguments = [name for name in backend_names() if backend_status(name).plugin is not None]
-    if not arguments:
-        raise BackendNotFoundError("no backend is ready; `imolo backends` says what to install")
-    chosen = [argument if isinstance(argument, Suite) else _suite(argument) for argument in arguments]
+    chosen = [one if isinstance(one, Suite) else _suite(one) for one in arguments or ready_simulations()]
     labels = [suite.label for suite in chosen]
     for label in labels:
         if labels.count(label) > 1:

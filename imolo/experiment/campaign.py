@@ -1,5 +1,6 @@
 """Run many trials at once, on all cores or machines, and keep what is done when one fails or the user stops."""
 
+import logging
 import multiprocessing
 import signal
 import socket
@@ -16,7 +17,7 @@ from imolo.backend import Trial, TrialKind
 from imolo.ball.fit import restore_ball_model
 from imolo.ball.model import BallModel
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import BusError, ConfigError, WorkerError
+from imolo.errors import BusError, ConfigError, TrialVoidError, WorkerError
 from imolo.experiment.kept_trials import (
     TrialTiming,
     discard_partial,
@@ -26,6 +27,7 @@ from imolo.experiment.kept_trials import (
     kept,
     partial_path,
     partial_paths,
+    set_aside,
 )
 from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
@@ -33,6 +35,10 @@ from imolo.experiment.workers import run_on_cores, run_on_dask
 from imolo.log import LOG_SUFFIX
 from imolo.method.planner import Planner
 from imolo.method.table import LookupTable
+from imolo.priority import BACKEND_PRIORITY, claim_priority
+from imolo.registry import load_backend
+
+logger = logging.getLogger(__name__)
 
 ARRIVAL = 10.0  # [s] a shared file system may take to show what another machine wrote
 _ONE_TRIAL_AT_A_TIME = threading.Lock()
@@ -86,14 +92,15 @@ def run_tasks(
 
     Args:
         tasks: What to run.
-        jobs: Number of processes, or -1 for one per core; a cluster has as many as it has.
+        jobs: Number of processes, or -1 for one per core; a cluster has as many as it has, a robot needs one.
         on_done: Called after each trial, first for those that were there, then in the order in which they end.
 
     Returns:
         The timings in the order of the tasks.
 
     Raises:
-        ConfigError: Several processes would share one bus.
+        ConfigError: Several processes would share one bus, or a cluster would move a robot.
+        TrialVoidError: A robot was lost in a trial; its log is kept.
         ResultsError: A log is there that is of another campaign.
         WorkerError: A trial's process died each time, or the cluster cannot be used.
         ImoloError: A trial failed; the logs of the others stay.
@@ -106,6 +113,10 @@ def run_tasks(
         raise ConfigError(
             f"trials run at once would mix their messages on the bus {shared!r}; give --jobs 1 or memq://"
         )
+    if not all(load_backend(name).simulated for name in {task.config.backend.name for task in tasks}):
+        if parallel.backend != "loky":
+            raise ConfigError("a robot can do one trial at a time, on this machine; leave --scheduler out")
+        jobs = 1
     origins = _origins(tasks)
     timings: dict[int, TrialTiming] = {}
     left: list[tuple[int, TrialTask]] = []
@@ -222,7 +233,11 @@ def _run_far(work: _Work) -> TrialTiming:
 
 def _run_and_keep(work: _Work) -> TrialTiming:
     partial = partial_path(work.task.log_path)
-    timing = run_task(replace(work.task, log_path=partial))
+    try:
+        timing = run_task(replace(work.task, log_path=partial))
+    except TrialVoidError as void:
+        kept_log = set_aside(partial, work.task.log_path)
+        raise TrialVoidError(f"{work} is void: {void} (log: {kept_log}); give the same command to go on") from void
     keep(partial, work.task.log_path, work.origin, timing)
     return timing
 
@@ -240,6 +255,9 @@ def run_task(task: TrialTask) -> TrialTiming:
     elif task.table_path is not None:
         table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
+        if not load_backend(config.backend.name).simulated:
+            controller.warm_up()
+            logger.info("%s", claim_priority(BACKEND_PRIORITY))
     begin = time.perf_counter()
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):

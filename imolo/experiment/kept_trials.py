@@ -15,8 +15,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imolo.errors import BusError, ResultsError
 from imolo.experiment.results import installed_versions
+from imolo.log import LOG_SUFFIX
 
-SOURCES = ("imolo", "imolo_backends", "imolo_msgs")
+SOURCES = ("imolo", "imolo_backends", "imolo_drivers", "imolo_msgs")
 THIS_MACHINE = "platform"
 
 
@@ -105,6 +106,19 @@ def keep(partial: Path, log_path: Path, origin: dict[str, str], timing: TrialTim
             path.replace(final)
     except OSError as error:
         raise BusError(f"cannot write the log {log_path}: {error}; choose a folder you may write to") from error
+
+
+def set_aside(path: Path, log_path: Path) -> Path:
+    """Move the log of a void trial to where nobody takes it for a whole one, and return where that is.
+
+    Args:
+        path: Where it was written.
+        log_path: Where it would be if it were whole.
+    """
+    folder = log_path.parent / "void"
+    folder.mkdir(exist_ok=True)
+    number = len(list(folder.iterdir()))
+    return path.rename(folder / f"{log_path.stem}_{number}{LOG_SUFFIX}")
 
 
 def _record_path(log_path: Path) -> Path:

@@ -80,6 +80,8 @@ def run_trial(
                 bus.drain()
                 after_slice(backend.utime)
                 bus.drain()
+            # A clock on the wall may have passed the end while the controller computed: what happened must be heard.
+            backend.advance(end)
             bus.publish(channels.TRIAL, _event(config, trial, EventName.END, backend.utime))
             bus.drain()
         except TrialVoidError as void:

@@ -13,15 +13,17 @@ from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import BackendError, BusError, ResultsError, TrialVoidError
+from imolo.errors import BackendError, BusError, ConfigError, ResultsError, TrialVoidError
 from imolo.experiment.campaign import log_name
+from imolo.experiment.kept_trials import set_aside
 from imolo.experiment.trial import Bystander, run_trial
-from imolo.live.clock import BACKEND_PRIORITY, claim_priority
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.remote_planner import LockstepPlanner, RealtimePlanner
 from imolo.log import read_log
+from imolo.priority import BACKEND_PRIORITY, claim_priority
+from imolo.registry import load_backend
 from imolo_msgs import throw_report_t, throw_request_t
 
 WARM_UP = 0.02  # [s] of a trial in which everything is loaded and compiled
@@ -46,6 +48,7 @@ class BackendProgram:
 
         Raises:
             BackendError: The backend refuses the scene.
+            ConfigError: A robot is to run in lock-step.
             ResultsError: The folder cannot be written.
         """
         # A trial has a bus of its own; the network hears what passes on it.
@@ -56,7 +59,10 @@ class BackendProgram:
         except OSError as error:
             raise ResultsError(f"cannot write logs to {folder}: {error.strerror}; choose another --out") from error
         self._index = _next_index(folder)
-        self._warm_up()
+        if self._simulated():
+            self._warm_up()
+        elif clock is ClockMode.LOCKSTEP:
+            raise ConfigError(f"{config.backend.name!r} is a robot and waits for nobody; give --clock realtime")
         identity = Identity(Role.BACKEND, config.robot.name, clock.value, shared_sections(config))
         self._node = Node(bus, identity, console.say)
         planner = RealtimePlanner if clock is ClockMode.REALTIME else LockstepPlanner
@@ -102,7 +108,7 @@ class BackendProgram:
                 if self._planner.lost:
                     raise TrialVoidError(self._planner.lost)
         except TrialVoidError as void:
-            kept = _set_aside(path)
+            kept = set_aside(path, path)
             repeated = "" if self._stop else ", to be repeated"
             self._tell(request, f"ball {trial.index} is void{repeated}: {void} (log: {kept})")
             return
@@ -158,6 +164,9 @@ class BackendProgram:
         report.report = text
         self._bus.publish(channels.THROW_REPORT, report)
 
+    def _simulated(self) -> bool:
+        return load_backend(self._config.backend.name).simulated
+
     def _warm_up(self) -> None:
         """Load and compile, so that neither the first heartbeats nor the first trial are late."""
         with tempfile.TemporaryDirectory() as folder:
@@ -187,7 +196,8 @@ def _next_index(folder: Path) -> int:
     """
     logs = sorted(folder.glob(f"{TrialKind.HIT.value}_*.lcmlog"))
     if logs and not _is_whole(logs[-1]):
-        _set_aside(logs.pop())
+        last = logs.pop()
+        set_aside(last, last)
     return int(logs[-1].stem.rpartition("_")[2]) + 1 if logs else 0
 
 
@@ -197,11 +207,3 @@ def _is_whole(path: Path) -> bool:
     except BusError:
         return False
     return any(event.event == EventName.END for event in events)
-
-
-def _set_aside(path: Path) -> Path:
-    """Move the log of a void trial to where nobody takes it for a whole one."""
-    folder = path.parent / "void"
-    folder.mkdir(exist_ok=True)
-    number = len(list(folder.iterdir()))
-    return path.rename(folder / f"{path.stem}_{number}.lcmlog")

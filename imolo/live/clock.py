@@ -1,33 +1,10 @@
 """Real time: a backend that waits for the clock on the wall, and tells when it could not keep up."""
 
-import os
 import time
 from collections.abc import Callable
 
 GIVE_UP = 0.1  # [s] behind from which lost time is not made up for: a session goes on from now
 RESOLUTION = 1e-6  # [s] of the messages
-# Of SCHED_FIFO, where 1 is lowest: above all ordinary programs, below what a machine's own drivers use (50).
-BACKEND_PRIORITY, PLANNER_PRIORITY = 20, 10
-
-
-def claim_priority(priority: int) -> str:
-    """Ask that this program be woken before all ordinary ones, as control loops are (SCHED_FIFO, see sched(7)).
-
-    Without it a busy machine wakes a program milliseconds late. It sleeps most of the time, so others hardly notice.
-
-    Args:
-        priority: From 1 to 99.
-
-    Returns:
-        What it is now, in words.
-    """
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-    except AttributeError:
-        return "ordinary priority (real-time priority needs Linux)"
-    except PermissionError:
-        return "ordinary priority (real-time priority needs root, or an rtprio limit in /etc/security/limits.conf)"
-    return f"real-time priority {priority}"
 
 
 class Pace:

@@ -6,22 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from imolo import channels
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError, did_you_mean
 from imolo.experiment.campaign import load_learned
 from imolo.experiment.trial import Controller
-from imolo.live.clock import PLANNER_PRIORITY, claim_priority
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Answerer, Said
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.streams import Latency, Streams, is_start
 from imolo.method.planner import Planner
-from imolo.method.table import Executed, LookupTable
+from imolo.priority import PLANNER_PRIORITY, claim_priority
 from imolo_msgs import step_request_t
 
 
@@ -179,15 +176,8 @@ def run_planner(
     bus = Bus(url)
     table, ball_model = load_learned(table_path, config.robot.name)
     planner = Planner(table, ball_model, config.methods[method].planner, config.tracker)
-    _warm_up(table)
+    planner.warm_up()
     identity = Identity(Role.PLANNER, table.robot, sections=shared_sections(config, table.template))
     program = PlannerProgram(bus, planner, identity, console)
     console.say(f"method {method!r}, table {table_path} of {table.robot}, on {url}")
     program.run(stop)
-
-
-def _warm_up(table: LookupTable) -> None:
-    """Compile the query before the first ball flies."""
-    theta = table.template.k_range[0], sum(table.template.t_w_range) / 2.0
-    for executed in (None, Executed(theta, 0.0)):  # type: ignore[arg-type]
-        table.query_path(np.zeros((2, 3)), np.zeros(2), executed)

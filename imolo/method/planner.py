@@ -13,7 +13,7 @@ from pydantic import Field
 from imolo import channels
 from imolo.backend import EventName
 from imolo.ball.model import BallModel
-from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig
+from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig, made_up_flight
 from imolo.bus import Bus
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.errors import TableFileError
@@ -126,6 +126,14 @@ class Planner:
         self._bus = bus
         bus.subscribe(channels.TRIAL, self._on_trial)
         bus.subscribe(channels.MOCAP, self._on_frame)
+
+    def warm_up(self) -> None:
+        """Load and compile by a made-up flight what takes seconds at first: a robot in real time cannot wait for it."""
+        bus = Bus()
+        Planner(self._table, self._ball_model, self._config, self._tracker.config).attach(bus)
+        for frame in made_up_flight():
+            bus.publish(channels.MOCAP, frame)
+        bus.drain()
 
     def _on_frame(self, frame: mocap_frame_t) -> None:
         begin = time.perf_counter()

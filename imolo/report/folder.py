@@ -9,7 +9,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from imolo.backend import Trial, TrialKind
-from imolo.config.experiment import ExperimentConfig, explain
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.reading import explain
 from imolo.errors import ResultsError
 from imolo.experiment.campaign import log_name
 from imolo.experiment.comparison import Comparison, Timings

@@ -5,6 +5,13 @@ lcm-gen 1.5.3
 """
 
 from .ball_state_t import ball_state_t as ball_state_t
+from .board_arm_t import board_arm_t as board_arm_t
+from .board_clock_t import board_clock_t as board_clock_t
+from .board_hello_t import board_hello_t as board_hello_t
+from .board_refusal_t import board_refusal_t as board_refusal_t
+from .board_state_t import board_state_t as board_state_t
+from .board_trial_t import board_trial_t as board_trial_t
+from .board_welcome_t import board_welcome_t as board_welcome_t
 from .envelope_t import envelope_t as envelope_t
 from .heartbeat_t import heartbeat_t as heartbeat_t
 from .marker_t import marker_t as marker_t

@@ -236,3 +236,12 @@ def test_nan_in_the_middle_of_a_flight_does_not_stop_the_motion(learned: Learned
     clean, _ = answers(learned.planner(), *frames)
     plans, _ = answers(learned.planner(), *broken)
     assert [plan.encode() for plan in plans] == [plan.encode() for plan in clean]
+
+
+def test_planner_that_was_warmed_up_plays_the_same_trial(learned: Learned, tmp_path: Path) -> None:
+    cold, warm = learned.planner(), learned.planner()
+    warm.warm_up()
+    for name, planner in (("cold", cold), ("warm", warm)):
+        play(CONFIG, tmp_path / name, planner, 0.9, TrialKind.HIT, index=1)
+    assert (tmp_path / "cold").read_bytes() == (tmp_path / "warm").read_bytes()
+    assert read_log(tmp_path / "cold").messages[channels.PLAN]

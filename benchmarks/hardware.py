@@ -1,0 +1,151 @@
+"""The hardware side on loopback: how soon the board follows, switches and vents, and a campaign on the emulator."""
+
+import json
+import re
+import select
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.measurement import Measurement
+from imolo.method.motion import NUM_VALVES, Commands
+from imolo_drivers.board import BoardConfig, BoardState
+from imolo_drivers.board_client import BoardClient
+from imolo_drivers.board_server import monotonic_utime
+from imolo_drivers.handshake import ClientRole
+from imolo_msgs import board_state_t
+
+RATE = 120.0  # [Hz] of the commands, one per camera frame
+PHASES = 40  # in a motion; each one has another pressure
+PHASE = 20_000  # [µs]
+MOTIONS = 10
+IMOLO = (sys.executable, "-m", "imolo.cli")
+BALLS, MISSES = 20, 4
+PATIENCE = 300.0  # [s]
+MEDIAN, P99, SWITCH = 0.5, 2.0, 1.0  # [ms] targets
+
+
+def run_campaign(folder: Path, table_path: Path, method: str) -> list[Measurement]:
+    """Hit balls as `backend: hardware`, through TCP and UDP, with MuJoCo behind `imolo emulate`.
+
+    Whether a ball was hit is told from the cameras; the emulator says what happened in truth.
+    """
+    config = folder / "hardware.yaml"
+    emulate = [*IMOLO, "emulate", "mujoco", "--armed", "--listen", "127.0.0.1:0", "--motive", "127.0.0.1:0"]
+    said: list[str] = []
+    with subprocess.Popen(emulate, stderr=subprocess.PIPE, text=True) as emulator:
+        try:
+            assert emulator.stderr is not None
+            ports = re.findall(r"127\.0\.0\.1:(\d+)", emulator.stderr.readline())
+            listener = threading.Thread(target=lambda: said.extend(emulator.stderr or ()))
+            listener.start()
+            backend = {"name": "hardware", "board": f"127.0.0.1:{ports[0]}", "cameras": {"command_port": int(ports[1])}}
+            config.write_text(yaml.safe_dump({"backend": backend}))
+            out = folder / "hardware"
+            hit = [*IMOLO, "hit", config, table_path, "--method", method, "--balls", BALLS, "--jobs", 1, "--out", out]
+            subprocess.run(list(map(str, hit)), stdout=subprocess.DEVNULL, timeout=PATIENCE, check=True)
+        finally:
+            emulator.terminate()
+            emulator.wait(PATIENCE)
+        listener.join()
+    result = json.loads((out / "summary.json").read_text())
+    in_truth = sum("in truth: hit" in line for line in said)
+    subject = "robot emulated by MuJoCo"
+    return [
+        Measurement(subject, f"balls missed of {BALLS}", result["balls"] - result["hits"], "", MISSES),
+        Measurement(subject, "hits by the cameras less hits in truth", abs(result["hits"] - in_truth), "", 0),
+    ]
+
+
+def run() -> list[Measurement]:
+    """Run `imolo board` with simulated valves as a process of its own, and play motions at the rate of the cameras."""
+    command = [*IMOLO, "board", "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as board:
+        try:
+            assert board.stderr is not None
+            port = int(board.stderr.readline().partition("127.0.0.1:")[2].partition(",")[0])
+            client = _armed(("127.0.0.1", port))
+            accepted: list[float] = []
+            switched: list[float] = []
+            for number in range(MOTIONS):
+                _play(client, 1000 * number, accepted, switched)
+            vented = _stop_commanding(client, 1000 * MOTIONS)
+        finally:
+            board.terminate()
+    median, p99 = np.percentile(accepted, (50.0, 99.0)).tolist()
+    watchdog = 1e3 * BoardConfig().watchdog
+    subject = "valve board, loopback"
+    return [
+        Measurement(subject, f"command sent to accepted, median of {len(accepted)}", median, "ms", MEDIAN),
+        Measurement(subject, "command sent to accepted, 99th percentile", p99, "ms", P99),
+        Measurement(
+            subject, f"phase switched after its time, 99th percentile of {len(switched)}", _p99(switched), "ms"
+        ),
+        Measurement(subject, "phase switched after its time, worst", max(switched), "ms", SWITCH),
+        Measurement(subject, "last command to vented, watchdog", vented, "ms", watchdog),
+        Measurement(subject, "uncertainty of the clocks in these", 1e-3 * client.offset.uncertainty, "ms"),
+    ]
+
+
+def _p99(values: list[float]) -> float:
+    return float(np.percentile(values, 99.0))
+
+
+def _armed(address: tuple[str, int]) -> BoardClient:
+    client = BoardClient(address, ClientRole.CONTROLLER, "benchmark")
+    operator = BoardClient(address, ClientRole.OPERATOR, "benchmark")
+    operator.arm(operator.welcome.controller_session, "benchmark")
+    client.synchronise(64)
+    if client.state.board_state != BoardState.ARMED:
+        raise RuntimeError("the board is not armed")
+    operator.close()
+    return client
+
+
+def _play(client: BoardClient, sequence: int, accepted: list[float], switched: list[float]) -> None:
+    """Play a motion, and note how late each command was accepted and each phase was switched [ms]."""
+    onset = monotonic_utime() + client.offset.utime + 20_000
+    switches = tuple(onset + PHASE * (phase + 1) for phase in range(PHASES))
+    target = np.outer(np.arange(PHASES) % 2 + 1, np.full(NUM_VALVES, 1e5))
+    commands = Commands(onset, switches, target)
+    sent: dict[int, int] = {}
+    late: dict[int, int] = {}
+
+    def note(state: board_state_t) -> None:
+        if state.accepted_sequence in sent:
+            accepted.append(1e-3 * (state.accepted_utime - client.offset.utime - sent.pop(state.accepted_sequence)))
+        if state.phase_in_force:
+            begin = (onset, *switches)[state.phase_in_force - 1]
+            late[state.phase_in_force] = state.switched_utime - begin
+
+    while monotonic_utime() + client.offset.utime < switches[-1]:
+        sequence += 1
+        message = commands.to_message(0, sequence)
+        sent[sequence] = monotonic_utime()
+        client.command(message)
+        end = time.monotonic() + 1.0 / RATE
+        while (left := end - time.monotonic()) > 0.0:
+            select.select((client.fileno(),), (), (), left)
+            for state in client.poll():
+                note(state)
+    switched += [1e-3 * value for value in late.values()]
+
+
+def _stop_commanding(client: BoardClient, sequence: int) -> float:
+    """Command once, keep the link alive, and return how long the board took to vent [ms]."""
+    onset = monotonic_utime() + client.offset.utime
+    commands = Commands(onset, (onset + 1_000_000,), np.full((1, NUM_VALVES), 1e5))
+    client.command(commands.to_message(0, sequence + 1))
+    accepted = 0
+    while True:
+        client.ask_time()
+        select.select((client.fileno(),), (), (), 0.005)
+        for state in client.poll():
+            if state.board_state != BoardState.ARMED:
+                return 1e-3 * (state.measured_utime - accepted)
+            accepted = state.accepted_utime

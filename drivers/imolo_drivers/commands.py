@@ -1,0 +1,148 @@
+"""The commands of the hardware, found through the entry points `imolo.commands`; each imports what it needs itself."""
+
+import getpass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer()
+
+BOARD = "127.0.0.1:7705"  # `imolo_drivers.board_server.PORT`
+MOTIVE_PORT = 1510  # of NatNet's commands
+MOTIVE = f"127.0.0.1:{MOTIVE_PORT}"
+EMULATED_TIMESTEP = 2.5e-4  # [s] a third of a core for MuJoCo; a YAML may ask for another one
+
+BoardAddress = Annotated[str, typer.Argument(metavar="HOST[:PORT]", help="Where the valve board listens.")]
+Listen = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen for the planner's computer.")]
+Person = Annotated[str, typer.Option(help="Who, for the log of the board [default: the user].")]
+
+
+@app.command()
+def board(
+    config: Annotated[Path | None, typer.Argument(help="YAML of the board, see docs/hardware.md.")] = None,
+    listen: Listen = BOARD,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but move.")] = False,
+) -> None:
+    """Run the valve board: follow commands, tell pressures, vent when control is lost.
+
+    Without a config its valves are simulated. It moves nothing before a person says `imolo arm`.
+    """
+    from imolo.config.reading import read_model
+    from imolo.live.program import Console, until_stopped
+    from imolo.priority import BOARD_PRIORITY, claim_priority
+    from imolo_drivers.address import parse_address
+    from imolo_drivers.board import BoardConfig
+    from imolo_drivers.board_server import BoardServer
+    from imolo_drivers.valve_io import IioValves, SimulatedValves
+
+    chosen = read_model(config, BoardConfig, "name its converters under `iio`") if config else BoardConfig()
+    chosen = chosen.model_copy(update={"dry_run": chosen.dry_run or dry_run})
+    where = parse_address(listen)
+    console = Console("board")
+    with until_stopped() as stop:
+        valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
+        server = BoardServer(chosen, valves, where, console.say)
+        kind = "IIO converters" if chosen.iio else "simulated valves"
+        dry = ", dry run" if chosen.dry_run else ""
+        priority = claim_priority(BOARD_PRIORITY)
+        console.say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
+        server.run(lambda: bool(stop))
+
+
+@app.command()
+def arm(where: BoardAddress = BOARD, person: Person = "") -> None:
+    """Allow the controller that is connected now to move the robot; asks before.
+
+    Valid for that connection alone: after every loss of the link, and for every trial, a person arms again.
+    """
+    from imolo.errors import BackendError
+    from imolo_drivers.address import parse_address
+    from imolo_drivers.board import BoardState
+    from imolo_drivers.board_client import PATIENCE, BoardClient
+    from imolo_drivers.handshake import ClientRole
+
+    address, name = parse_address(where), person or getpass.getuser()
+    client = BoardClient(address, ClientRole.OPERATOR, name)
+    client.close()
+    welcome = client.welcome
+    state = BoardState(welcome.state_at_welcome).name.lower()
+    cause = f" ({welcome.cause_at_welcome})" if welcome.cause_at_welcome else ""
+    typer.echo(
+        f"{welcome.board_name}, {welcome.board_robot}: {state}{cause}{', dry run' if welcome.is_dry_run else ''}"
+    )
+    if not welcome.controller_session:
+        raise BackendError("there is no controller to arm; start it first")
+    typer.echo(f"controller: {welcome.controller_name}; valves up to {welcome.pressure_limit / 1e6:g} MPa")
+    if typer.prompt("Is everybody clear of the robot? Type 'arm' to arm it", default="", show_default=False) != "arm":
+        raise BackendError("not armed")
+    client = BoardClient(address, ClientRole.OPERATOR, name)
+    client.arm(welcome.controller_session, name)
+    session = welcome.controller_session
+    if not client.wait(lambda: client.state.armed_session == session or bool(client.refusals), PATIENCE):
+        raise BackendError("the board does not say that it is armed")
+    if client.refusals:
+        raise BackendError(client.refusals[-1].refusal_reason)
+    client.close()
+    typer.echo("armed; `imolo disarm` vents")
+
+
+@app.command()
+def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
+    """Vent the robot and take the permission to move back, at once."""
+    from imolo.errors import BackendError
+    from imolo_drivers.address import parse_address
+    from imolo_drivers.board import BoardState
+    from imolo_drivers.board_client import PATIENCE, BoardClient
+    from imolo_drivers.handshake import ClientRole
+
+    name = person or getpass.getuser()
+    client = BoardClient(parse_address(where), ClientRole.OPERATOR, name)
+    client.disarm(name)
+    known = client.state.state_number
+    vented = client.wait(
+        lambda: client.state.state_number > known and client.state.board_state != BoardState.ARMED, PATIENCE
+    )
+    client.close()
+    if not vented:
+        raise BackendError("the board does not say that it is disarmed; close the air supply")
+    typer.echo(f"{BoardState(client.state.board_state).name.lower()}: {client.state.state_cause}")
+
+
+@app.command()
+def emulate(
+    engine: Annotated[str, typer.Argument(help="A simulated backend by name, or a YAML that configures it.")],
+    listen: Listen = BOARD,
+    motive: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where Motive is to answer.")] = MOTIVE,
+    armed: Annotated[bool, typer.Option("--armed", help="Arm every trial at once, in the place of a person.")] = False,
+) -> None:
+    """Be the robot on the network: valve board and motion capture, with an engine behind them in real time.
+
+    For `backend: hardware` where no robot is at hand; see configs/hardware.yaml.
+    """
+    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.config.simulation import SimulationConfig
+    from imolo.live.program import Console, until_stopped
+    from imolo.priority import BOARD_PRIORITY, claim_priority
+    from imolo_drivers.address import parse_address
+    from imolo_drivers.board import BoardConfig
+    from imolo_drivers.emulator import EmulatedRobot
+    from imolo_drivers.natnet.config import NatNetServerConfig
+
+    if engine.endswith((".yaml", ".yml")):
+        config = load_config(Path(engine))
+    else:
+        simulation = SimulationConfig(timestep=EMULATED_TIMESTEP)
+        config = ExperimentConfig(backend=BackendConfig(name=engine), simulation=simulation)
+        config.backend_options()
+    host, port = parse_address(motive, MOTIVE_PORT)
+    cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
+    console = Console("emulate")
+    with until_stopped() as stop:
+        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, console.say)
+        where = robot.board.address
+        priority = claim_priority(BOARD_PRIORITY)
+        ports = f"board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}"
+        console.say(f"{config.backend.name}: {ports}, {priority}")
+        robot.run(lambda: bool(stop))
+        console.say(f"stopped; {robot.lost:.1f} s lost")

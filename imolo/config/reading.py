@@ -1,0 +1,67 @@
+"""Read a model from YAML, and say in one line what is wrong with it."""
+
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from imolo.errors import ConfigError, did_you_mean
+
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
+
+def read_model(path: Path, model: type[AnyModel], least: str) -> AnyModel:
+    """Read and check a YAML file.
+
+    Args:
+        path: The file.
+        model: What it must hold.
+        least: What to tell the author of a file without any settings.
+
+    Raises:
+        ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} holds no settings; {least}")
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(explain(error, model, str(path))) from error
+
+
+def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
+    """Return one line that names the first wrong key or value, and the nearest right key."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = _keys_beside(model, first["loc"])
+        message = f"unknown key {key!r}{did_you_mean(str(first['loc'][-1]), known)}"
+        if known:
+            message += f" (known: {', '.join(known)})"
+    elif first["type"] == "missing":
+        message = f"{key!r} is missing"
+    else:
+        message = f"{key!r} is {first['input']!r}: {first['msg'].removeprefix('Value error, ')}"
+    others = len(error.errors()) - 1
+    return f"{where}: {message}" + (f" (and {others} more)" if others else "")
+
+
+def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that are known where `location` ends."""
+    current: Any = model
+    for part in location[:-1]:
+        if get_origin(current) is dict:
+            current = get_args(current)[1]
+            continue
+        fields = getattr(current, "model_fields", {})
+        if part not in fields:
+            return []
+        current = fields[part].annotation
+    return sorted(getattr(current, "model_fields", {}))

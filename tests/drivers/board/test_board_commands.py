@@ -1,0 +1,91 @@
+"""The board at the command line: a person arms, and nothing else does."""
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from board_link import PATIENCE, controller, running_board
+from typer.testing import CliRunner
+
+from imolo.cli import app
+from imolo.errors import BackendError, ConfigError
+from imolo_drivers.address import parse_address
+from imolo_drivers.board_server import PORT
+from imolo_drivers.commands import BOARD
+
+PATIENT = {"watchdog": 1.0, "silence": 5.0}
+runner = CliRunner()
+
+
+def address(board: object) -> str:
+    host, port = board.address  # type: ignore[attr-defined]
+    return f"{host}:{port}"
+
+
+@pytest.fixture
+def board_program() -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+        yield program
+        program.kill()
+
+
+def test_board_program_says_where_it_listens_and_vents_at_its_end(board_program: "subprocess.Popen[str]") -> None:
+    assert board_program.stderr is not None
+    first = board_program.stderr.readline()
+    assert first.startswith("imolo board: valve board on 127.0.0.1:")
+    assert re.search(r", simulated valves, (real-time|ordinary) priority.*, vented$", first)
+    board_program.send_signal(signal.SIGTERM)
+    assert board_program.wait(PATIENCE) == 0
+
+
+def test_person_who_types_arm_arms() -> None:
+    with running_board(**PATIENT) as board, controller(board, armed=False) as client:
+        client.ask_time()
+        result = runner.invoke(app, ["arm", address(board), "--person", "Ada"], input="arm\n")
+        assert result.exit_code == 0, result.output
+        assert "controller: test at 127.0.0.1" in result.output
+        assert any(line.startswith("armed by Ada for test") for line in board.said)
+
+
+@pytest.mark.parametrize("answer", ["", "yes", "ARM"])
+def test_any_other_answer_does_not_arm(answer: str) -> None:
+    with running_board(**PATIENT) as board, controller(board, armed=False):
+        result = runner.invoke(app, ["arm", address(board)], input=f"{answer}\n")
+        assert isinstance(result.exception, BackendError)
+        assert board.state == "VENTED"
+
+
+def test_nobody_is_asked_where_there_is_nothing_to_arm() -> None:
+    with running_board(**PATIENT) as board:
+        result = runner.invoke(app, ["arm", address(board)], input="arm\n")
+        assert "no controller" in str(result.exception)
+
+
+def test_disarm_vents_without_asking() -> None:
+    with running_board(**PATIENT) as board, controller(board):
+        result = runner.invoke(app, ["disarm", address(board), "--person", "Ada"])
+        assert result.exit_code == 0, result.output
+        assert result.output == "vented: disarmed by Ada\n"
+
+
+def test_board_config_is_checked(tmp_path: Path) -> None:
+    path = tmp_path / "board.yaml"
+    path.write_text("watchdogg: 0.1\n")
+    result = runner.invoke(app, ["board", str(path)])
+    assert "did you mean 'watchdog'" in str(result.exception)
+
+
+def test_default_address_is_that_of_the_board() -> None:
+    assert parse_address(BOARD) == ("127.0.0.1", PORT)
+    assert parse_address("robot") == ("robot", PORT)
+
+
+@pytest.mark.parametrize("text", ["", ":7705", "robot:", "robot:x", "robot:70000"])
+def test_what_is_no_address_is_told(text: str) -> None:
+    with pytest.raises(ConfigError, match="is no address"):
+        parse_address(text)

@@ -1,0 +1,166 @@
+"""A board and a Motive without physics beside a test: the ball flies as told, and the cameras fail as told."""
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from imolo.backend import Trial, TrialKind
+from imolo.bus import Bus
+from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.trial import Controller, run_trial
+from imolo.log import Log, read_log
+from imolo.registry import load_backend
+from imolo_drivers.board import BoardConfig
+from imolo_drivers.board_server import BoardServer, monotonic_utime
+from imolo_drivers.natnet.calibration import Calibration
+from imolo_drivers.natnet.config import NatNetServerConfig
+from imolo_drivers.natnet.messages import (
+    AssetDefinition,
+    AssetMarkerDefinition,
+    Frame,
+    LabelledMarker,
+    ModelDefinitions,
+)
+from imolo_drivers.natnet.server import NatNetServer
+from imolo_drivers.valve_io import SimulatedValves
+from imolo_msgs import board_trial_t
+
+PATIENCE = 10.0  # [s]
+RATE = 120.0  # [Hz]
+NAMES = (
+    *("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle"),
+    *("right_hand", "left_hand", "right_shoulder", "left_shoulder", "right_toe", "left_toe"),
+)
+BODY = {
+    label: np.array([-0.2 + 0.01 * label, 0.16 if "left" in name else -0.16, 0.5 + 0.03 * label])
+    for label, name in enumerate(NAMES)
+}
+BODY[6], BODY[8] = np.array([0.35, -0.16, 1.2]), np.array([0.0, -0.16, 1.2])  # the right arm stretched forward
+BODY[7] = np.array([-0.4, 0.16, 0.8])
+
+LANDING = 0.842  # [s] after its start the ball lies on the floor
+
+Faults = Callable[[float, list[LabelledMarker]], list[LabelledMarker] | None]
+
+
+def no_fault(_: float, markers: list[LabelledMarker]) -> list[LabelledMarker]:
+    return markers
+
+
+class ScriptedRobot:
+    """Runs in a thread. `faults` gets the time since the robot was armed [s] and may change or withhold a frame."""
+
+    def __init__(self, board: BoardConfig, faults: Faults, armed: bool, version: tuple[int, int]) -> None:
+        self.said: list[str] = []
+        self.valves = SimulatedValves()
+        self.server = BoardServer(board, self.valves, ("127.0.0.1", 0), self.said.append, on_trial=self._announce)
+        self.motive = NatNetServer(NatNetServerConfig(command_port=0), version, definitions=_definitions())
+        self.packets: list[bytes] = []
+        self._throws = self._moves = False
+        self._faults, self._armed, self._due, self._start = faults, armed, False, math.inf
+        self._numbers, self._next = 0, time.monotonic()
+        self.failure: BaseException | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive(), "the robot hangs"
+        assert self.failure is None, f"the robot crashed: {self.failure!r}"
+
+    def _announce(self, message: board_trial_t) -> None:
+        self._due, self._throws = True, message.announced_kind != TrialKind.TRAINING
+        self._moves = message.announced_kind != TrialKind.THROW
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self._turn()
+        except BaseException as error:  # noqa: BLE001
+            self.failure = error
+        finally:
+            self.server.close()
+            self.motive.close()
+
+    def _turn(self) -> None:
+        self.server.turn(0.001)
+        now = time.monotonic()
+        self.motive.poll(now)
+        board = self.server.board
+        if self._due and board.session:
+            self._due, self._start = False, now
+            if self._armed and self._moves:
+                board.arm(board.session, monotonic_utime())
+        while self.packets:
+            self.motive.send_packet(self.packets.pop())
+        if now < self._next:
+            return
+        self._next = max(self._next + 1.0 / RATE, now - 0.05)
+        self._numbers += 1
+        markers = self._faults(now - self._start, self._markers(now - self._start))
+        if markers is not None:
+            self.motive.send(Frame(self._numbers, now, self.motive.ticks(now), tuple(markers)))
+
+    def _markers(self, elapsed: float) -> list[LabelledMarker]:
+        """Return the resting robot, and a ball that falls onto the floor in front of it."""
+        labels = [(1, label + 1, place) for label, place in BODY.items()]
+        flight = min(max(elapsed - 0.1, 0.0), LANDING) if self._throws else 0.0
+        ball = np.array([4.0 - 4.0 * flight, 0.5, 1.0 + 3.0 * flight - 4.905 * flight**2])
+        return [marker(model, number, place) for model, number, place in (*labels, (0, 1, ball))]
+
+
+def marker(model: int, number: int, place: Any) -> LabelledMarker:
+    position = Calibration().to_motive(np.reshape(place, (1, 3)))[0].tolist()
+    return LabelledMarker(model, number, tuple(position))
+
+
+@contextlib.contextmanager
+def scripted_robot(
+    faults: Faults = no_fault, armed: bool = True, version: tuple[int, int] = (4, 1), **board: Any
+) -> Iterator[ScriptedRobot]:
+    robot = ScriptedRobot(BoardConfig(**{"watchdog": 1.0, **board}), faults, armed, version)
+    try:
+        yield robot
+    finally:
+        robot.stop()
+
+
+def config(robot: Any, **options: Any) -> ExperimentConfig:
+    """Return a config of the hardware on the ports of a scripted robot."""
+    host, port = robot.server.address
+    cameras = {"command_port": robot.motive.port, **options.pop("cameras", {})}
+    return ExperimentConfig.model_validate(
+        {"backend": {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **options}}
+    )
+
+
+def play(
+    chosen: ExperimentConfig,
+    path: Any,
+    controller: Controller,
+    duration: float = 0.3,
+    kind: TrialKind = TrialKind.TRAINING,
+    after_slice: Callable[[int], None] = lambda _: None,
+) -> Log:
+    run_trial(chosen, Trial(kind, 0, 1), controller, path, duration, after_slice)
+    return read_log(path)
+
+
+def backend(chosen: ExperimentConfig) -> Any:
+    return load_backend("hardware").create(chosen, chosen.backend_options())
+
+
+def memory_bus() -> Bus:
+    return Bus("memq://")
+
+
+def _definitions() -> ModelDefinitions:
+    markers = tuple(AssetMarkerDefinition(name, label + 1, (0.0, 0.0, 0.0)) for label, name in enumerate(NAMES))
+    return ModelDefinitions((AssetDefinition("liberobot", 0, 1, (), markers),))

@@ -1,0 +1,177 @@
+"""The emulator takes part in the streams like an engine, through real sockets, and its board is the real one."""
+
+import contextlib
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from experiment import trials
+from requirements import AVAILABLE
+
+from imolo import channels
+from imolo.backend import EventName, Trial, TrialKind
+from imolo.channels import STREAMS
+from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.errors import BackendError
+from imolo.experiment.recordings import hand_samples
+from imolo.experiment.trainer import MotionPlayer
+from imolo.experiment.trial import Bystander, Controller, run_trial
+from imolo.log import Log, read_log
+from imolo.method.motion import MotionTemplate, Theta
+from imolo_drivers.board import BoardConfig
+from imolo_drivers.emulator import EmulatedRobot
+from imolo_drivers.natnet.config import NatNetServerConfig
+
+PATIENCE = 20.0  # [s]
+SIMULATION_ONLY = {channels.TRUTH_ROBOT, channels.TRUTH_BALL}
+THETA = Theta(0.5, 0.25)
+PATIENT = {
+    "camera_patience": 5.0,
+    "board_silence": 5.0,
+    "clock_jump": 1.0,
+}  # on a machine that is busy with other tests
+
+
+class RunningEmulator:
+    def __init__(self, engine: str, armed: bool = True) -> None:
+        self.said: list[str] = []
+        config = trials.config(engine)
+        board = BoardConfig(watchdog=1.0, silence=5.0)
+        cameras = NatNetServerConfig(command_port=0)
+        self.robot = EmulatedRobot(config, board, ("127.0.0.1", 0), cameras, armed, self.said.append)
+        self.failure: BaseException | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def config(self, **options: Any) -> ExperimentConfig:
+        host, port = self.robot.board.address
+        cameras = {"command_port": self.robot.motive.port, "silence_limit": 5.0}
+        backend = {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **PATIENT, **options}
+        return ExperimentConfig.model_validate({"backend": backend})
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive(), "the emulator hangs"
+        assert self.failure is None, f"the emulator crashed: {self.failure!r}"
+
+    def _run(self) -> None:
+        try:
+            self.robot.run(self._stop.is_set)
+        except BaseException as error:  # noqa: BLE001
+            self.failure = error
+
+
+@contextlib.contextmanager
+def emulator(engine: str = "mujoco") -> Iterator[RunningEmulator]:
+    running = RunningEmulator(engine)
+    try:
+        yield running
+    finally:
+        running.stop()
+
+
+def play(
+    running: RunningEmulator, path: Path, kind: TrialKind, controller: Controller, duration: float, index: int = 0
+) -> Log:
+    run_trial(running.config(), Trial(kind, index, 1), controller, path, duration)
+    return read_log(path)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=() if name == "mujoco" else pytest.mark.slow) for name in AVAILABLE],
+)
+def training(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, Log]:
+    """Return the same motion through the emulator, and simulated in this process."""
+    folder = tmp_path_factory.mktemp(request.param)
+    with emulator(request.param) as running:
+        log = play(running, folder / "robot", TrialKind.TRAINING, MotionPlayer(MotionTemplate(), THETA), 0.6)
+    return log, trials.play_motion(trials.config(request.param), folder / "simulated", THETA, 0.3)
+
+
+def test_robot_speaks_on_the_channels_of_a_simulation_but_knows_no_truth(training: tuple[Log, Log]) -> None:
+    robot, simulated = ({name for name, messages in log.messages.items() if messages} for log in training)
+    assert robot == simulated - SIMULATION_ONLY
+
+
+def test_messages_of_the_robot_have_the_types_of_their_channels(training: tuple[Log, Log]) -> None:
+    for name in training[0].messages:
+        assert all(isinstance(message, STREAMS[name].message_type) for message in training[0].messages.get(name, []))
+
+
+def test_events_of_the_robot_come_in_order(training: tuple[Log, Log]) -> None:
+    names = [event.event for event in training[0].messages[channels.TRIAL]]
+    assert names == [EventName.START, EventName.ONSET, EventName.END]
+    assert {(event.robot, event.backend) for event in training[0].messages[channels.TRIAL]} == {
+        ("liberobot", "hardware")
+    }
+
+
+def test_clocks_of_the_robot_increase_and_begin_with_the_trial(training: tuple[Log, Log]) -> None:
+    for name in (channels.MOCAP, channels.VALVE_PRESSURE):
+        utimes = [message.utime for message in training[0].messages[name]]
+        assert utimes == sorted(set(utimes))
+        assert utimes[0] > 0
+    numbers = [message.pressure_sequence for message in training[0].messages[channels.VALVE_PRESSURE]]
+    assert numbers == sorted(set(numbers))
+
+
+def test_pressures_and_frames_come_no_faster_than_their_rates(training: tuple[Log, Log]) -> None:
+    """By their own clocks and numbers; on a busy machine an engine in real time may fall behind."""
+    for name, number, rate in (
+        (channels.MOCAP, "frame_number", 120.0),
+        (channels.VALVE_PRESSURE, "pressure_sequence", 1000.0),
+    ):
+        messages = training[0].messages[name]
+        count = getattr(messages[-1], number) - getattr(messages[0], number)
+        assert count / (1e-6 * (messages[-1].utime - messages[0].utime)) < 1.1 * rate
+
+
+def test_motion_can_be_learned_from_the_robot(training: tuple[Log, Log]) -> None:
+    config = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+    samples = hand_samples(training[0], config.robot, config.training)
+    assert np.isfinite(samples.position).all()
+    assert set(map(tuple, samples.theta)) == {tuple(THETA)}
+
+
+def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> None:
+    """Where it lands does not depend on when: seed and index say it."""
+    places = {}
+    with emulator() as running:
+        for index in (0, 1):
+            log = play(running, tmp_path / str(index), TrialKind.THROW, Bystander(), 1.6, index)
+            (landed,) = trials.events(log, EventName.BALL_LANDED)
+            places[index] = landed.event_position
+    for index, place in places.items():
+        simulated = trials.play(
+            trials.config("mujoco"), tmp_path / f"sim{index}", duration=1.6, kind=TrialKind.THROW, index=index
+        )
+        (landed,) = trials.events(simulated, EventName.BALL_LANDED)
+        # A contact point is a radius away from the centre, which the cameras find within half a frame of flight.
+        assert np.linalg.norm(np.array(place) - np.array(landed.event_position)) < 0.12
+    assert np.linalg.norm(np.array(places[0]) - np.array(places[1])) > 0.12
+
+
+def test_robot_is_not_emulated_by_a_robot() -> None:
+    config = ExperimentConfig(backend=BackendConfig(name="hardware"))
+    with pytest.raises(BackendError, match="is no engine"):
+        EmulatedRobot(config, BoardConfig(), ("127.0.0.1", 0), NatNetServerConfig(command_port=0))
+
+
+def test_program_says_where_it_is_and_ends(tmp_path: Path) -> None:
+    ports = ["--listen", "127.0.0.1:0", "--motive", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "imolo.cli", "emulate", "mujoco", *ports]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stderr is not None
+        line = program.stderr.readline()
+        program.terminate()
+        assert re.match(r"imolo emulate: mujoco: board on 127\.0\.0\.1:\d+, Motive on 127\.0\.0\.1:\d+, \w", line)
+        assert program.wait(PATIENCE) == 0

@@ -1,0 +1,362 @@
+"""The robot as a backend, against a board and a Motive that fail as told: never a hang, and the log is kept."""
+
+import dataclasses
+import logging
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted_robot import BODY, NAMES, backend, config, marker, memory_bus, play, scripted_robot
+
+from imolo import channels
+from imolo.backend import EventName, Trial, TrialKind
+from imolo.bus import Bus
+from imolo.errors import BackendError, ConfigError, NatNetError, NatNetVersionError, TrialVoidError
+from imolo.experiment.campaign import TrialTask, run_tasks
+from imolo.experiment.trainer import MotionPlayer
+from imolo.experiment.trial import Bystander
+from imolo.live.backend_program import BackendProgram
+from imolo.live.identity import ClockMode
+from imolo.live.program import Console, Stop
+from imolo.log import Log, read_log
+from imolo.method.motion import MotionTemplate, Theta
+from imolo.registry import ready_simulations
+from imolo_drivers.board import VENTED_PRESSURE
+from imolo_drivers.natnet.config import NatNetConfig
+from imolo_drivers.natnet.encoder import encode
+from imolo_drivers.natnet.messages import Frame, LabelledMarker
+from imolo_msgs import mocap_frame_t
+
+THETA = Theta(0.5, 0.25)
+Markers = list[LabelledMarker]
+
+
+def player() -> MotionPlayer:
+    return MotionPlayer(MotionTemplate(), THETA)
+
+
+def events(log: Log) -> list[str]:
+    return [event.event for event in log.messages[channels.TRIAL]]
+
+
+def void(log_path: Path) -> str:
+    """Return why the trial of a log is void."""
+    end = read_log(log_path).messages[channels.TRIAL][-1]
+    assert end.event == EventName.END
+    return str(end.detail.partition("void: ")[2])
+
+
+def test_motion_reaches_the_valves_and_the_streams_come_back(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        log = play(config(robot), tmp_path / "log", player(), 0.4)
+    spoken = {name for name, messages in log.messages.items() if messages}
+    expected = {channels.VALVE_COMMAND, channels.VALVE_PRESSURE, channels.MOCAP, channels.PLAN, channels.TRIAL}
+    assert spoken == expected
+    assert events(log) == [EventName.START, EventName.ONSET, EventName.END]
+    assert {(event.robot, event.backend) for event in log.messages[channels.TRIAL]} == {("liberobot", "hardware")}
+    (onset,) = (event for event in log.messages[channels.TRIAL] if event.event == EventName.ONSET)
+    commanded = log.messages[channels.VALVE_COMMAND][0].onset_utime
+    assert onset.utime >= commanded - 1000
+    assert re.fullmatch(r"-?\d+ us after the commanded onset", onset.detail)
+    # The simulated valves follow at once: the pressures are those of U, phase by phase.
+    given = {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]}
+    assert {tuple(row) for row in log.messages[channels.VALVE_COMMAND][0].target_pressure[:2]} <= given
+
+
+def test_streams_are_numbered_and_their_clocks_increase(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.4)
+    for name in (channels.VALVE_PRESSURE, channels.MOCAP):
+        utimes = [message.utime for message in log.messages[name]]
+        assert len(utimes) > 10
+        assert utimes == sorted(set(utimes))
+        assert utimes[0] > 0
+        assert all(utime <= received + 2000 for utime, received in zip(utimes, log.received[name], strict=True))
+    assert log.messages[channels.VALVE_PRESSURE][0].pressure_sequence == 1
+
+
+def test_markers_are_where_they_are(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.2)
+    for frame in log.messages[channels.MOCAP]:
+        seen = {m.marker_id: m.marker_position for m in frame.markers if m.marker_id >= 0}
+        assert seen.keys() == BODY.keys()
+        assert np.allclose([seen[label] for label in BODY], list(BODY.values()), atol=1e-6)  # of a float
+
+
+def test_ball_that_lands_is_told_and_is_no_hit(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 1.4, TrialKind.THROW)
+    assert events(log) == [EventName.START, EventName.THROW, EventName.BALL_LANDED, EventName.END]
+    assert robot.said.count("throw trial 0, seed 1") == 1
+
+
+def test_throw_needs_no_arming(tmp_path: Path) -> None:
+    with scripted_robot(armed=False) as robot:
+        play(config(robot), tmp_path / "log", Bystander(), 0.1, TrialKind.THROW)
+        assert robot.server.board.state.name == "VENTED"
+
+
+def test_nobody_who_arms_ends_the_wait_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with scripted_robot(armed=False) as robot, pytest.raises(BackendError, match="nobody armed the robot"):
+        play(config(robot, arm_patience=0.1), tmp_path / "log", player())
+    assert "then `imolo arm 127.0.0.1" in caplog.text
+
+
+def test_dry_run_moves_nothing(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        log = play(config(robot, dry_run=True), tmp_path / "log", player(), 0.3)
+    assert EventName.ONSET in events(log)
+    assert {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]} == {VENTED_PRESSURE}
+
+
+def test_robot_is_vented_and_disarmed_after_the_trial(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        play(config(robot), tmp_path / "log", player(), 0.2)
+        play(config(robot), tmp_path / "again", Bystander(), 0.05, TrialKind.THROW)
+        assert robot.server.board.state.name == "VENTED"
+        assert robot.server.board.cause == "disarmed by the end of the trial"
+        assert robot.valves.pressure == VENTED_PRESSURE
+
+
+# What goes wrong in a trial.
+
+
+def test_lost_board_voids_the_trial_and_the_log_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    with scripted_robot() as robot:
+
+        def cut(utime: int) -> None:
+            if utime > 150_000:
+                for connection in list(robot.server._connections.values()):
+                    connection.link.shutdown(2)
+
+        with pytest.raises(TrialVoidError, match="the link to the valve board"):
+            play(config(robot), path, player(), 1.0, after_slice=cut)
+    assert "is lost" in void(path)
+    assert robot.valves.pressure == VENTED_PRESSURE
+
+
+def test_person_who_disarms_ends_the_trial(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+
+        def disarm(utime: int) -> None:
+            if utime > 100_000:
+                robot.server.board.disarm(robot.server._clock(), "disarmed by a person")
+
+        with pytest.raises(TrialVoidError, match="the board is vented: disarmed by a person"):
+            play(config(robot), tmp_path / "log", player(), 1.0, after_slice=disarm)
+    assert "disarmed by a person" in void(tmp_path / "log")
+
+
+def test_campaign_keeps_the_log_of_a_void_trial_and_goes_on_when_asked_again(tmp_path: Path) -> None:
+    trial, path = Trial(TrialKind.TRAINING, 0, 1), tmp_path / "training_000.lcmlog"
+
+    def stall(elapsed: float, markers: Markers) -> Markers | None:
+        return markers if elapsed < 0.15 else None
+
+    with scripted_robot(stall) as robot, pytest.raises(TrialVoidError, match=r"is void: no camera frame .*void/"):
+        run_tasks([TrialTask(config(robot), trial, path)], jobs=2)
+    assert "no camera frame" in void(tmp_path / "void/training_000_0.lcmlog")
+    assert not path.exists()
+    with scripted_robot() as robot:
+        run_tasks([TrialTask(config(robot), trial, path)], jobs=2)
+    assert events(read_log(path))[-1] == EventName.END
+
+
+class Mute:
+    """A planner that commands until it stops."""
+
+    def __init__(self, until: int) -> None:
+        self._player, self._until = player(), until
+
+    def attach(self, bus: Bus) -> None:
+        self._player._bus = bus
+
+        def on_frame(frame: mocap_frame_t) -> None:
+            if frame.utime < self._until:
+                self._player._on_frame(frame)
+
+        bus.subscribe(channels.MOCAP, on_frame)
+
+
+def test_planner_that_stops_is_vented_by_the_board(tmp_path: Path) -> None:
+    with (
+        scripted_robot(watchdog=0.1) as robot,
+        pytest.raises(TrialVoidError, match="latched: no valid command for"),
+    ):
+        play(config(robot), tmp_path / "log", Mute(100_000), 1.0)
+    assert "no valid command" in void(tmp_path / "log")
+
+
+def test_jump_of_the_boards_clock_voids_the_trial(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        clock = robot.server._clock
+
+        def jump(utime: int) -> None:
+            if utime > 100_000:
+                robot.server._clock = lambda: clock() + 20_000
+
+        with pytest.raises(TrialVoidError, match="the clock of the board jumped by"):
+            play(config(robot), tmp_path / "log", Bystander(), 1.0, after_slice=jump)
+
+
+def test_controller_that_computes_too_long_cannot_pass_for_a_trial(tmp_path: Path) -> None:
+    """The clock on the wall is past the end of the trial when it returns, but the board has vented meanwhile."""
+
+    def think(utime: int) -> None:
+        if utime > 100_000:
+            time.sleep(0.6)
+
+    with scripted_robot(watchdog=0.1) as robot, pytest.raises(TrialVoidError, match="latched: nothing heard"):
+        play(config(robot), tmp_path / "log", Bystander(), 0.3, after_slice=think)
+
+
+def test_stalled_cameras_are_reported_and_void_the_trial(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def stall(elapsed: float, markers: Markers) -> Markers | None:
+        return markers if not 0.15 < elapsed < 10.0 else None
+
+    with scripted_robot(stall) as robot, pytest.raises(TrialVoidError, match="no camera frame for 2"):
+        play(config(robot), tmp_path / "log", player(), 1.0)
+    assert "no camera frame for" in void(tmp_path / "log")
+    (report,) = (record for record in caplog.records if "no camera frame" in record.message)
+    silence = float(re.findall(r"for (\d+) ms", report.message)[0])
+    assert silence >= round(1e3 * NatNetConfig().silence_limit)
+
+
+def test_short_stall_is_reported_once_and_the_trial_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def stall(elapsed: float, markers: Markers) -> Markers | None:
+        return markers if not 0.10 < elapsed < 0.22 else None
+
+    with scripted_robot(stall) as robot:
+        log = play(config(robot, camera_patience=5.0), tmp_path / "log", player(), 0.5)
+    assert caplog.text.count("no camera frame for") == 1
+    assert events(log)[-1] == EventName.END
+
+
+def swapped(elapsed: float, markers: Markers) -> Markers:
+    """Let the two hands bear each other's name from some time on."""
+    if not 0.15 < elapsed < 10.0:
+        return markers
+    other = {7: 8, 8: 7}
+    return [
+        dataclasses.replace(one, marker_id=other.get(one.marker_id, one.marker_id)) if one.model_id else one
+        for one in markers
+    ]
+
+
+def test_markers_that_swap_their_names_get_them_back(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert (NAMES[6], NAMES[7]) == ("right_hand", "left_hand")
+    with scripted_robot(swapped) as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.5)
+    for frame in log.messages[channels.MOCAP]:
+        seen = {m.marker_id: m.marker_position for m in frame.markers}
+        assert np.allclose([seen[6], seen[7]], [BODY[6], BODY[7]], atol=1e-6)
+    assert caplog.text.count("their labels are corrected") == 1
+
+
+def test_marker_that_jumps_alone_is_left_out(tmp_path: Path) -> None:
+    def jump(elapsed: float, markers: Markers) -> Markers:
+        if 0.1 < elapsed < 0.13:
+            return [
+                marker(1, 7, (1.5, 1.0, 0.3)) if (one.model_id, one.marker_id) == (1, 7) else one for one in markers
+            ]
+        return markers
+
+    with scripted_robot(jump) as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.3)
+    hands = [m.marker_position for f in log.messages[channels.MOCAP] for m in f.markers if m.marker_id == 6]
+    assert np.allclose(hands, BODY[6], atol=1e-6)
+    assert len(hands) < len(log.messages[channels.MOCAP])
+
+
+def test_truncated_and_foreign_packets_are_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    whole = encode(Frame(1, 0.0, 0, tuple(marker(1, n, (0, 0, 0)) for n in range(1, 5))), (4, 1))
+    with scripted_robot() as robot:
+
+        def disturb(utime: int) -> None:
+            robot.packets += [whole[: utime % len(whole)], b"\x07\x00\xff\xff", bytes(5)]
+
+        log = play(config(robot), tmp_path / "log", player(), 0.3, after_slice=disturb)
+    assert events(log) == [EventName.START, EventName.ONSET, EventName.END]
+    assert int(re.findall(r"(\d+) packets unreadable", caplog.text)[0]) > 0
+
+
+# What does not begin.
+
+
+def test_unknown_version_of_natnet_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with scripted_robot() as robot:
+        info = dataclasses.replace(robot.motive._info, natnet_version=(5, 0))
+        monkeypatch.setattr(robot.motive, "_info", info)
+        with pytest.raises(NatNetVersionError, match=r"5\.0"):
+            play(config(robot), tmp_path / "log", player())
+        assert robot.server.board.state.name == "VENTED"
+
+
+def test_no_cameras_are_told(tmp_path: Path) -> None:
+    with scripted_robot() as robot, pytest.raises(BackendError, match=r"no frames from Motive at 127\.0\.0\.1:1 "):
+        play(config(robot, patience=0.3, cameras={"command_port": 1}), tmp_path / "log", player())
+
+
+def test_missing_asset_is_told(tmp_path: Path) -> None:
+    with scripted_robot() as robot, pytest.raises(NatNetError, match="no asset 'robot'"):
+        play(config(robot, cameras={"labels": {"asset": "robot"}}), tmp_path / "log", player())
+
+
+def test_no_board_is_told(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        chosen = config(robot, patience=0.1)
+    with pytest.raises(BackendError, match="no valve board answers"):
+        play(chosen, tmp_path / "log", player())
+
+
+def test_board_of_another_robot_is_refused(tmp_path: Path) -> None:
+    with scripted_robot(robot="athlete") as robot, pytest.raises(BackendError, match="moves robot 'athlete'"):
+        play(config(robot), tmp_path / "log", player())
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "complaint"), [("board", "x:y", "is no address"), ("bord", "x", "'board'")]
+)
+def test_wrong_options_are_told(option: str, value: str, complaint: str) -> None:
+    with scripted_robot() as robot, pytest.raises(ConfigError, match=complaint):
+        backend(config(robot, **{option: value}))
+
+
+def test_backend_that_was_not_started_says_so() -> None:
+    with scripted_robot() as robot:
+        one = backend(config(robot))
+    assert one.utime == 0
+    with pytest.raises(BackendError, match="has not been started"):
+        one.advance(1000)
+    one.close()
+
+
+def test_sockets_are_closed_when_the_start_fails() -> None:
+    with scripted_robot() as robot:
+        one = backend(config(robot, patience=0.2, cameras={"command_port": 1}))
+        with pytest.raises(BackendError):
+            one.start(memory_bus(), Trial(TrialKind.TRAINING, 0, 1))
+        assert (one._board, one._cameras) == (None, None)
+
+
+def test_no_command_without_a_config_chooses_the_robot() -> None:
+    assert "hardware" not in ready_simulations()
+
+
+def test_robot_is_not_run_in_lock_step(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        chosen = config(robot)
+    with pytest.raises(ConfigError, match="waits for nobody; give --clock realtime"):
+        BackendProgram(chosen, memory_bus(), ClockMode.LOCKSTEP, tmp_path, Stop(), Console("backend"))
+
+
+def test_frames_of_a_trial_are_numbered_from_one(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        for name in ("one", "two"):
+            log = play(config(robot), tmp_path / name, Bystander(), 0.1)
+            assert log.messages[channels.MOCAP][0].frame_number == 1
