@@ -143,13 +143,25 @@ def compare(
 
 
 @app.command()
-def learn(config: ConfigPath, out: Out = Path("results/learn"), seed: Seed = None, jobs: Jobs = CORES) -> None:
+def learn(
+    config: ConfigPath,
+    motions: Annotated[
+        int | None, typer.Option(min=1, help="Learn so many motions, spread evenly, in place of those of the config.")
+    ] = None,
+    out: Out = Path("results/learn"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+) -> None:
     """Learn balls and motions on one backend and build the table of each method."""
     from imolo.config.experiment import load_config
     from imolo.experiment import comparison
+    from imolo.experiment.learning import spread_motions
     from imolo.experiment.results import ResultsFolder
 
     chosen = _override(load_config(config), seed, None)
+    if motions is not None:
+        training = chosen.training.model_copy(update={"motions": spread_motions(chosen, motions)})
+        chosen = chosen.model_copy(update={"training": training})
     folder = ResultsFolder(out)
     with _Bars(_kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
