@@ -275,6 +275,62 @@ def interpolation(
 
 
 @app.command()
+def transfer(
+    configs: ConfigPaths = None,
+    motions: Annotated[int, typer.Option(min=4, help="Of a dense table.")] = 200,
+    out: Out = Path("results/transfer"),
+    seed: Seed = None,
+    balls: Balls = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Throw balls on every backend for tables learned on every other, as they are and corrected by a few trials.
+
+    Takes some minutes for each pair of backends. Writes logs, tables, transfer.json and a heat map.
+    """
+    from imolo.experiment import transfer as study
+    from imolo.experiment import transfer_report
+    from imolo.experiment.results import ResultsFolder
+
+    chosen = [_override(config, seed, balls) for config in _load_all(configs)]
+    folder = ResultsFolder(out)
+    with _Bars(_kept_in(out)) as bars:
+        result = study.transfer(chosen, motions, folder, jobs, bars.show)
+    console.print(transfer_report.render_transfer(result))
+    folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
+    console.print(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
+
+
+@app.command()
+def trials(
+    configs: ConfigPaths = None,
+    numbers: Annotated[str, typer.Option(help="Numbers of trials, with commas.")] = "5,10,15,20,30",
+    motions: Annotated[int, typer.Option(min=4, help="Of a prior.")] = 200,
+    candidates: Annotated[int, typer.Option(min=1, help="Motions that an active choice may pick from.")] = 60,
+    tests: Annotated[int, typer.Option(min=1, help="Motions that the models are tested on.")] = 60,
+    out: Out = Path("results/trials"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+) -> None:
+    """Say how many trials a backend needs: hand error of models with and without a prior from another backend.
+
+    Writes logs, trials.json and trials.png to the results folder.
+    """
+    from imolo.experiment import interpolation_report, sample_efficiency_report
+    from imolo.experiment import sample_efficiency as study
+    from imolo.experiment.results import ResultsFolder
+
+    counts = interpolation_report.parse_trials(numbers)
+    chosen = [_override(config, seed, None) for config in _load_all(configs)]
+    folder = ResultsFolder(out)
+    sizes = study.Sizes(dense=motions, candidates=candidates, tests=tests)
+    with _Bars(_kept_in(out)) as bars:
+        result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
+    console.print(sample_efficiency_report.render_study(result))
+    folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
+    console.print(f"logs, configs, trials.json and figures/trials.png are in {out}")
+
+
+@app.command()
 def attribute(
     first: Annotated[str, typer.Argument(help="A backend by name, or a YAML that configures it.")],
     second: Annotated[str, typer.Argument(help="The other one.")],

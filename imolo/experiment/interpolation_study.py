@@ -1,8 +1,6 @@
 """Fig. 7 on a backend: record a pool of motions, let the tables choose, and execute what they chose."""
 
-import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -25,6 +23,7 @@ from imolo.experiment.interpolation import (
 from imolo.experiment.motion_recorder import Recording, Window, record_motions, without_chance
 from imolo.experiment.results import ResultsFolder, installed_versions
 from imolo.method.motion import Theta
+from imolo.method.regressors import quiet_fits
 from imolo.method.table import TableGrid
 
 Array = NDArray[np.float64]
@@ -151,17 +150,5 @@ def _study_one(
 def _answer(number: int, problem: Problem, pool: Sequence[Recording], window: Window) -> tuple[int, Answer]:
     leave_interrupts_to_the_parent()
     # One thread, so that the sums do not depend on the number of cores.
-    with threadpool_limits(limits=1), _without_warnings_of_fits():
+    with threadpool_limits(limits=1), quiet_fits():
         return number, answer(problem, pool, window, GRID)
-
-
-@contextmanager
-def _without_warnings_of_fits() -> Iterator[None]:
-    # Hundreds of fits to noiseless motions; that the noise they find is next to nothing is as it should be.
-    logger = logging.getLogger("imolo.method.regressors")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)

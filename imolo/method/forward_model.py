@@ -163,8 +163,9 @@ class ForwardModel:
             raise ConfigError(f"the model is to correct the prior {config.prior}; use `prior.fit_forward_model`")
         self.config = config
         self.prior = prior
-        self._regressor = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
+        self._unfitted = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
         self._training: TrainingData | None = None
+        self._regressor: Any
         self._input_scaling: _Scaling
         self._output_scaling: _Scaling
         self._gaussian_sum: GaussianSum | None = None
@@ -199,11 +200,15 @@ class ForwardModel:
         output_scaling = _Scaling.of(outputs, self.config.outputs)
         inputs = input_scaling.apply(features)
         targets = output_scaling.apply(outputs)
-        regressor = clone(self._regressor)
-        if isinstance(regressor, GaussianProcessRegressor) and len(inputs) > SEARCHED_SAMPLES:
-            step = -(-len(inputs) // SEARCHED_SAMPLES)
-            fit_quietly(regressor, inputs[::step], targets[::step], self.config.estimator)
-            regressor = clone(regressor).set_params(kernel=regressor.kernel_, optimizer=None)
+        regressor = clone(self._unfitted)
+        if isinstance(regressor, GaussianProcessRegressor):
+            noise = self._noise_of_the_prior(training, output_scaling) + regressor.alpha
+            if len(inputs) > SEARCHED_SAMPLES and regressor.optimizer is not None:
+                some = slice(None, None, -(-len(inputs) // SEARCHED_SAMPLES))
+                regressor.set_params(alpha=noise[some])
+                fit_quietly(regressor, inputs[some], targets[some], self.config.estimator)
+                regressor = clone(regressor).set_params(kernel=regressor.kernel_, optimizer=None)
+            regressor.set_params(alpha=noise)
         fit_quietly(regressor, inputs, targets, self.config.estimator)
         self._regressor, self._gaussian_sum = regressor, gaussian_sum(regressor, inputs)
         self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training
@@ -262,7 +267,7 @@ class ForwardModel:
     @property
     def knows_std(self) -> bool:
         """Whether the estimator predicts a standard deviation."""
-        return "return_std" in signature(self._regressor.predict).parameters
+        return "return_std" in signature(self._unfitted.predict).parameters
 
     def refitted(self, theta: ArrayLike, time: ArrayLike, position: ArrayLike) -> "ForwardModel":
         """Return the same model of other samples; a fitted Gaussian process keeps its kernel, and the prior stays.
@@ -273,14 +278,25 @@ class ForwardModel:
             position: Hand positions in the world frame [m], shape (N, 3).
         """
         other = ForwardModel(self.config, self.prior)
-        if isinstance(self._regressor, GaussianProcessRegressor):
+        if isinstance(self._unfitted, GaussianProcessRegressor):
             # 15 searches for a kernel take seconds, and one trial less would not find another.
-            other._regressor = clone(self._regressor).set_params(kernel=self._regressor.kernel_, optimizer=None)
+            other._unfitted = clone(self._unfitted).set_params(kernel=self._regressor.kernel_, optimizer=None)
         return other.fit(theta, time, position)
 
     def _expected(self, theta: ArrayLike, time: ArrayLike) -> Array:
         """Return what is predicted before anything is learned [m], shape (N, 3)."""
         return np.zeros((len(np.asarray(theta)), 3)) if self.prior is None else self.prior.predict(theta, time)
+
+    def _noise_of_the_prior(self, training: TrainingData, scaling: _Scaling) -> Array:
+        """Return the variance that a process is to take for noise, in the scale of its targets, shape (N,).
+
+        Where the prior is unsure, a sample says little about how the two bodies differ.
+        """
+        if self.prior is None or not self.prior.knows_std:
+            return np.zeros(len(training.time))
+        std = self.prior.predict_std(training.theta, training.time) / scaling.spread
+        noise: Array = np.mean(std**2, axis=1)
+        return noise
 
     def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:
         _ = self.training

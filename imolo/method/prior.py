@@ -11,7 +11,7 @@ from imolo.method.forward_model import ForwardModel, ForwardModelConfig, Trainin
 from imolo.method.motion import MotionTemplate
 from imolo.method.table_file import read_table_file
 
-MOST_SAMPLES = 1000  # of a prior: three times as many take three times as long and are 0.5 mm nearer, docs/transfer.md
+MOST_SAMPLES = 1000  # of 200 motions or more a few samples each say as much, and time goes with their number
 
 
 def fit_forward_model(
@@ -21,7 +21,7 @@ def fit_forward_model(
 
     Args:
         config: Which regression, and which prior.
-        training: Samples of the trials.
+        training: Samples of the trials; of more than `MOST_SAMPLES` only every second is used, or every third.
         robot: Name of the robot, that of the prior as well.
         template: What theta changes, in the prior as well.
 
@@ -30,6 +30,7 @@ def fit_forward_model(
         ConfigError: The estimator or one of its parameters is unknown.
     """
     prior = None if config.prior is None else load_prior(Path(config.prior), robot, template)
+    training = training.thinned(MOST_SAMPLES)
     return ForwardModel(config, prior).fit(training.theta, training.time, training.position)
 
 
@@ -59,7 +60,7 @@ def load_prior(path: Path, robot: str, template: MotionTemplate) -> ForwardModel
         if isinstance(error, TableFileError):
             raise
         raise TableFileError(f"the prior {path} does not fit this imolo ({error}); build it again") from error
-    return fit_forward_model(config, training.thinned(MOST_SAMPLES), robot, template)
+    return fit_forward_model(config, training, robot, template)
 
 
 def origin_of(path: Path) -> dict[str, object]:

@@ -8,7 +8,11 @@ from typing import Any
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
 from imolo.errors import ResultsError
+from imolo.experiment import sample_efficiency_report as efficiency_report
+from imolo.experiment import transfer_report
 from imolo.experiment.attribution import Attribution
+from imolo.experiment.sample_efficiency import SampleEfficiency
+from imolo.experiment.transfer import Transfer
 from imolo.report.folder import parse, read_text
 
 Context = Mapping[str, Any]
@@ -110,6 +114,48 @@ def attribution_tables(path: Path) -> Context:
     }
 
 
+def transfer_tables(path: Path) -> Context:
+    """Return the transfer matrix without and with the correction."""
+    result = parse(Transfer, read_text(path), path)
+    names = transfer_report.players(result)
+    grids = [
+        Grid(
+            transfer_report.title(result, corrected=corrected),
+            ("learned in", *(f"balls in {name}" for name in names)),
+            [
+                (
+                    row or transfer_report.ALONE,
+                    *(transfer_report.cell_text(result.cell(row, name, corrected)) for name in names),
+                )
+                for row in transfer_report.rows(result, corrected=corrected)
+            ],
+        )
+        for corrected in (False, True)
+    ]
+    return {"note": "Hits with Wilson 95 % interval, and hand to selected grid point, mean ± sd.", "grids": grids}
+
+
+def trials_tables(path: Path) -> Context:
+    """Return the hand error of every model against the number of trials."""
+    study = parse(SampleEfficiency, read_text(path), path)
+    numbers = efficiency_report.numbers(study)
+    grids = []
+    for setting in efficiency_report.SETTINGS:
+        rows = []
+        for backend in efficiency_report.backends(study):
+            for model in efficiency_report.models(study, backend):
+                found = {point.trials: point for point in study.curve(backend, setting, model)}
+                cells = (efficiency_report.point_text(found.get(number)) for number in numbers)
+                rows.append((backend, model, *cells))
+            rows.append((backend, "floor", _tenths(study.floor(backend, setting)), *("" for _ in numbers[1:])))
+        grids.append(Grid(setting, ("backend", "model", *map(str, numbers)), rows))
+    note = (
+        f"Hand error on {study.sizes.tests} other motions [mm] against the number of trials, in brackets squared error "
+        "over predicted variance (1 is honest). 0: the prior as it is."
+    )
+    return {"note": note, "grids": grids}
+
+
 def any_tables(path: Path) -> Context:
     """Return the numbers of any JSON file: lists of records as tables, single values as one."""
     try:
@@ -156,5 +202,6 @@ SECTIONS = (
     Section("ball.json", "Ball models", ball_tables, figures=("ball.png",)),
     Section("attribution.json", "Why the engines differ", attribution_tables, figures=("figures/waterfall.png",)),
     Section("interpolation.json", "Between the training motions", any_tables, figures=("figures/interpolation.png",)),
-    Section("transfer.json", "From one engine to another", any_tables, figures=("figures/transfer.png",)),
+    Section("transfer.json", "From one engine to another", transfer_tables, figures=("figures/transfer.png",)),
+    Section("trials.json", "How many trials it takes", trials_tables, figures=("figures/trials.png",)),
 )

@@ -12,6 +12,7 @@ from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardMode
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.motion import MotionTemplate
 from imolo.method.prior import MOST_SAMPLES, fit_forward_model, load_prior
+from imolo.method.regressors import fit_quietly, make_regressor
 from imolo.method.table import GridAxis, LookupTable, TableGrid
 
 Array = NDArray[np.float64]
@@ -70,12 +71,20 @@ def test_few_trials_upon_a_prior_beat_the_prior_and_the_trials_alone() -> None:
     assert together < 0.3 * error(ForwardModel(SWING).fit(*FEW, shifted(*FEW)))
 
 
-def test_uncertainty_is_that_of_the_prior_and_that_of_the_correction() -> None:
-    samples = (*FEW, shifted(*FEW))
-    corrected = ForwardModel(SWING, PRIOR).fit(*samples)
-    correction = ForwardModel(SWING).fit(*FEW, samples[2] - PRIOR.predict(*FEW))
-    expected = np.sqrt(PRIOR.predict_std(*OTHERS) ** 2 + correction.predict_std(*OTHERS) ** 2)
-    np.testing.assert_allclose(corrected.predict_std(*OTHERS), expected, rtol=1e-12)
+def test_correction_is_a_process_of_the_residuals_in_which_an_unsure_prior_is_noise() -> None:
+    corrected = ForwardModel(SWING, PRIOR).fit(*FEW, shifted(*FEW))
+    residual = shifted(*FEW) - PRIOR.predict(*FEW)
+    inputs, queries = (np.column_stack((theta, time - theta[:, 1])) for theta, time in (FEW, OTHERS))
+    mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
+    noise = np.mean((PRIOR.predict_std(*FEW) / residual.std(axis=0)) ** 2, axis=1) + 1e-10
+    process = make_regressor("GaussianProcessRegressor", {"random_state": 0, "alpha": noise}, 3)
+    targets = (residual - residual.mean(axis=0)) / residual.std(axis=0)
+    fit_quietly(process, (inputs - mean) / spread, targets, "GaussianProcessRegressor")
+    expected, std = process.predict((queries - mean) / spread, return_std=True)
+    expected = PRIOR.predict(*OTHERS) + expected * residual.std(axis=0) + residual.mean(axis=0)
+    std = np.sqrt((std * residual.std(axis=0)) ** 2 + PRIOR.predict_std(*OTHERS) ** 2)
+    np.testing.assert_allclose(corrected.predict(*OTHERS), expected, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(corrected.predict_std(*OTHERS), std, rtol=1e-6)
 
 
 def test_prior_without_a_standard_deviation_can_be_corrected() -> None:

@@ -126,7 +126,7 @@ def test_provenance_names_seed_digests_versions_and_the_command(page: Page, fold
 def test_names_and_outcomes_are_escaped(tmp_path: Path) -> None:
     evil = "<img src=x onerror=alert(1)>"
     folder = make_results(tmp_path / "results", backends=(evil,), outcome="</script><b>")
-    (folder.path / "transfer.json").write_text(json.dumps({evil: [{"name": evil}]}))
+    (folder.path / "interpolation.json").write_text(json.dumps({evil: [{"name": evil}]}))
     page = Page(write_report(folder.path, tmp_path / "report.html").path)
     assert evil not in page.source
     assert "</script><b>" not in page.source
@@ -138,14 +138,14 @@ def test_other_results_become_sections(folder: ResultsFolder, tmp_path: Path) ->
     alone = tmp_path / "alone"
     alone.mkdir()
     rows = [{"from": "alpha", "to": "beta", "hits": 17, "rate": 0.85}, {"from": "beta", "to": "alpha", "hits": None}]
-    (alone / "transfer.json").write_text(json.dumps({"seed": 1, "pairs": rows}))
+    (alone / "interpolation.json").write_text(json.dumps({"seed": 1, "pairs": rows}))
     page = Page(write_report(alone, tmp_path / "report.html").path)
     assert page.tables == [
         [["", ""], ["seed", "1"]],
         [["from", "to", "hits", "rate"], ["alpha", "beta", "17", "0.85"], ["beta", "alpha", "–", "–"]],
     ]
     assert "replay" not in {reference for _, reference in page.references}
-    assert len(any_tables(alone / "transfer.json")["grids"]) == 2
+    assert len(any_tables(alone / "interpolation.json")["grids"]) == 2
 
 
 def _remove(name: str) -> Callable[[Path], object]:
@@ -173,7 +173,7 @@ def _cut(name: str) -> Callable[[Path], object]:
         (_write("configs/beta.yaml", "{backend: {name: beta}, methods: {other: {}}}"), ("beta.yaml", "'paper'")),
         (_write("ball.json", "{}"), ("ball.json", "is damaged")),
         (_write("attribution.json", "nonsense"), ("attribution.json", "is damaged")),
-        (_write("transfer.json", "{"), ("transfer.json", "is damaged")),
+        (_write("interpolation.json", "{"), ("interpolation.json", "is damaged")),
         (_write("logs/beta/paper/hit_001.lcmlog", "no log at all"), ("hit_001.lcmlog",)),
     ],
 )
