@@ -24,7 +24,8 @@ def players(result: Transfer) -> list[str]:
 
 def rows(result: Transfer, *, corrected: bool) -> list[str | None]:
     """Return where the tables of a matrix were learned; None is the trials alone."""
-    return list(dict.fromkeys(cell.learned_in for cell in result.cells if cell.corrected == corrected))
+    known = {cell.learned_in for cell in result.cells if cell.corrected == corrected}
+    return [name for name in (None, *players(result)) if name in known]
 
 
 def title(result: Transfer, *, corrected: bool) -> str:
