@@ -32,6 +32,7 @@ class Bus:
             self._lcm = lcm.LCM(url)
         except RuntimeError as error:
             raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
+        self._subscriptions: list[Any] = []
         self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
 
     def publish(self, channel: str, message: Any) -> None:
@@ -98,8 +99,19 @@ class Bus:
         if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
             self.drain()
 
+    def close(self) -> None:
+        """Let go of all handlers.
+
+        They refer to what refers to this bus, and LCM takes no part in Python's collection of such circles: its two
+        file descriptors would stay open, and from 1024 on its `select` crashes.
+        """
+        while self._subscriptions:
+            self._lcm.unsubscribe(self._subscriptions.pop())
+
     def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
-        self._lcm.subscribe(channel, handler).set_queue_capacity(0)
+        subscription = self._lcm.subscribe(channel, handler)
+        subscription.set_queue_capacity(0)
+        self._subscriptions.append(subscription)
 
 
 def _message_type(channel: str) -> type[Any]:

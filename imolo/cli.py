@@ -154,6 +154,9 @@ def compare(
 @app.command()
 def learn(
     config: ConfigPath,
+    motions: Annotated[
+        int | None, typer.Option(min=1, help="Learn so many motions, spread evenly, in place of those of the config.")
+    ] = None,
     out: Out = Path("results/learn"),
     seed: Seed = None,
     jobs: Jobs = CORES,
@@ -163,8 +166,12 @@ def learn(
     """Learn balls and motions on one backend and build the table of each method."""
     from imolo.config.experiment import load_config
     from imolo.experiment import comparison
+    from imolo.experiment.learning import spread_motions
 
     chosen = _override(load_config(config), seed, None, scheduler)
+    if motions is not None:
+        training = chosen.training.model_copy(update={"motions": spread_motions(chosen, motions)})
+        chosen = chosen.model_copy(update={"training": training})
     folder = _results(out, fresh)
     with _Bars(_kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
@@ -278,6 +285,64 @@ def interpolation(
     console.print(interpolation_report.render_study(result))
     folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
     console.print(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
+
+
+@app.command()
+def transfer(
+    configs: ConfigPaths = None,
+    motions: Annotated[int, typer.Option(min=4, help="Of a dense table.")] = 200,
+    out: Out = Path("results/transfer"),
+    seed: Seed = None,
+    balls: Balls = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Throw balls on every backend for tables learned on every other, as they are and corrected by a few trials.
+
+    Takes some minutes for each pair of backends. Writes logs, tables, transfer.json and a heat map.
+    """
+    from imolo.experiment import transfer as study
+    from imolo.experiment import transfer_report
+
+    chosen = [_override(config, seed, balls, scheduler) for config in _load_all(configs)]
+    folder = _results(out, fresh)
+    with _Bars(_kept_in(out)) as bars:
+        result = study.transfer(chosen, motions, folder, jobs, bars.show)
+    console.print(transfer_report.render_transfer(result))
+    folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
+    console.print(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
+
+
+@app.command()
+def trials(
+    configs: ConfigPaths = None,
+    numbers: Annotated[str, typer.Option(help="Numbers of trials, with commas.")] = "5,10,15,20,30",
+    motions: Annotated[int, typer.Option(min=4, help="Of a prior.")] = 200,
+    candidates: Annotated[int, typer.Option(min=1, help="Motions that an active choice may pick from.")] = 60,
+    tests: Annotated[int, typer.Option(min=1, help="Motions that the models are tested on.")] = 60,
+    out: Out = Path("results/trials"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Say how many trials a backend needs: hand error of models with and without a prior from another backend.
+
+    Writes logs, trials.json and trials.png to the results folder.
+    """
+    from imolo.experiment import interpolation_report, sample_efficiency_report
+    from imolo.experiment import sample_efficiency as study
+
+    counts = interpolation_report.parse_trials(numbers)
+    chosen = [_override(config, seed, None, scheduler) for config in _load_all(configs)]
+    folder = _results(out, fresh)
+    sizes = study.Sizes(dense=motions, candidates=candidates, tests=tests)
+    with _Bars(_kept_in(out)) as bars:
+        result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
+    console.print(sample_efficiency_report.render_study(result))
+    folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
+    console.print(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
 @app.command()

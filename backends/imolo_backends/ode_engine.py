@@ -200,7 +200,12 @@ class OdeEngine:
         )
 
     def close(self) -> None:
-        """See `Engine.close`; ODE frees its memory with the object."""
+        """See `Engine.close`.
+
+        ODE's objects are let go here, one after the other. The garbage collector, which meets them where the engine is
+        part of a circle of references, takes them apart in an order in which ODE crashes.
+        """
+        vars(self).clear()
 
     def _check(self, robot: RobotModel) -> None:
         scene, world, options = self._scene, self._world, self._options

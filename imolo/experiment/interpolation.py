@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
-from scipy.interpolate import CubicSpline
 from scipy.stats import ttest_rel
 
 from imolo.experiment.metrics import Statistic
-from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig, TrainingData
+from imolo.experiment.motion_recorder import Recording, Window
+from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig
 from imolo.method.motion import Theta
 from imolo.method.table import TableGrid
 
@@ -33,48 +33,6 @@ RATED: Mapping[str, ForwardModelConfig] = {
     STANDARDIZED: PAPER_SVR.model_copy(update={"inputs": "standardized"}),
     LOOSE: PAPER_SVR.model_copy(update={"parameters": {**PAPER_SVR.parameters, "C": 10.0}}),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """The hand of one motion.
-
-    Attributes:
-        theta: Of the motion.
-        time: Since the onset [s], shape (N,), increasing.
-        position: Of the hand in the world frame [m], shape (N, 3).
-    """
-
-    theta: Theta
-    time: Array
-    position: Array
-
-    def covers(self, time: float) -> bool:
-        """Return whether the hand was recorded before and after a time since the onset [s]."""
-        return len(self.time) >= 4 and bool(self.time[0] <= time <= self.time[-1])
-
-    def hand(self, time: float) -> Array:
-        """Return the hand at a time since the onset [s], by a cubic through the frames [m], shape (3,)."""
-        return np.asarray(CubicSpline(self.time, self.position)(time))
-
-
-@dataclass(frozen=True)
-class Window:
-    """When the arm swings, since t_w [s]; the bounds are excluded."""
-
-    start: float
-    stop: float
-
-    def samples(self, recordings: Sequence[Recording]) -> TrainingData:
-        """Return the tuples (s, t, theta) of the frames in the window."""
-        theta, time, position = [], [], []
-        for recording in recordings:
-            since = recording.time - recording.theta.t_w
-            inside = (since > self.start) & (since < self.stop)
-            theta += [recording.theta] * int(inside.sum())
-            time.append(recording.time[inside])
-            position.append(recording.position[inside])
-        return TrainingData(np.array(theta).reshape(-1, 2), np.concatenate(time), np.concatenate(position))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,6 @@
 """Fig. 7 on a backend: record a pool of motions, let the tables choose, and execute what they chose."""
 
-import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -10,27 +8,22 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from threadpoolctl import threadpool_limits
 
-from imolo.backend import Trial, TrialKind
 from imolo.config.experiment import ExperimentConfig
-from imolo.errors import ConfigError, TrainingDataError
-from imolo.experiment.attribution import NO_CHANCE
-from imolo.experiment.campaign import TrialTask, leave_interrupts_to_the_parent, log_name, run_tasks
+from imolo.errors import ConfigError
+from imolo.experiment.campaign import leave_interrupts_to_the_parent
 from imolo.experiment.interpolation import (
     Answer,
     Interpolation,
     Problem,
-    Recording,
-    Window,
     answer,
     draw_problem,
     draw_theta,
     judge,
 )
-from imolo.experiment.recordings import last_plan, marker_track
+from imolo.experiment.motion_recorder import Recording, Window, record_motions, without_chance
 from imolo.experiment.results import ResultsFolder, installed_versions
-from imolo.experiment.trainer import START_MARGIN
-from imolo.log import read_log
 from imolo.method.motion import Theta
+from imolo.method.regressors import quiet_fits
 from imolo.method.table import TableGrid
 
 Array = NDArray[np.float64]
@@ -85,7 +78,7 @@ def study(
         ConfigError: The pool is too small, or a backend is named twice.
         ImoloError: A trial failed; what was recorded until then stays.
     """
-    named = {config.backend.name: _without_chance(config) for config in configs}
+    named = {config.backend.name: without_chance(config) for config in configs}
     if len(named) != len(configs):
         raise ConfigError(f"a backend is named twice: {', '.join(config.backend.name for config in configs)}")
     if pool <= max(trials):
@@ -121,9 +114,16 @@ def _study_one(
 ) -> Interpolation:
     name, seed = config.backend.name, config.seed
     window = Window(config.training.sampled_from, config.training.sampled_to)
-    bench = _Bench(config, folder, jobs, progress)
+
+    def record(kind: str, until: Mapping[Theta, float]) -> list[Recording]:
+        if not until:
+            return []
+        logs = folder.path / "logs" / name / f"interpolation_{kind}"
+        label = f"{name}: motions, {kind}"
+        return record_motions(config, list(until.items()), logs, jobs, lambda *count: progress(label, *count))
+
     motions = draw_theta(GRID, pool_size, np.random.default_rng(np.random.SeedSequence([seed, pool_size])))
-    pool = bench.record("pool", {theta: theta.t_w + window.stop for theta in motions})
+    pool = record("pool", {theta: theta.t_w + window.stop for theta in motions})
     problems = [draw_problem(pool, window, n, r, seed) for n in trials for r in range(repetitions)]
     label = f"{name}: tables"
     progress(label, 0, len(problems))
@@ -143,77 +143,12 @@ def _study_one(
             # Nothing is left to chance, so a motion that is executed again goes as it was recorded.
             if known is None or not known.covers(problem.time):
                 until[choice.theta] = max(until.get(choice.theta, 0.0), problem.time)
-    recorded.update({recording.theta: recording for recording in bench.record("chosen", until)})
+    recorded.update({recording.theta: recording for recording in record("chosen", until)})
     return judge(problems, ordered, lambda theta, time: recorded[theta].hand(time))
 
 
 def _answer(number: int, problem: Problem, pool: Sequence[Recording], window: Window) -> tuple[int, Answer]:
     leave_interrupts_to_the_parent()
     # One thread, so that the sums do not depend on the number of cores.
-    with threadpool_limits(limits=1), _without_warnings_of_fits():
+    with threadpool_limits(limits=1), quiet_fits():
         return number, answer(problem, pool, window, GRID)
-
-
-@contextmanager
-def _without_warnings_of_fits() -> Iterator[None]:
-    # Hundreds of fits to noiseless motions; that the noise they find is next to nothing is as it should be.
-    logger = logging.getLogger("imolo.method.regressors")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
-def _without_chance(config: ExperimentConfig) -> ExperimentConfig:
-    content = config.model_dump()
-    content["simulation"].update(NO_CHANCE)
-    # Pressures are not looked at, and every message costs time.
-    content["simulation"].update(pressure_rate=config.simulation.mocap.rate, truth_rate=config.simulation.mocap.rate)
-    return ExperimentConfig.model_validate(content)
-
-
-class _Bench:
-    """Executes motions on one backend and reads where the hand was."""
-
-    def __init__(self, config: ExperimentConfig, folder: ResultsFolder, jobs: int, progress: Progress) -> None:
-        self._config = config
-        self._folder = folder
-        self._jobs = jobs
-        self._progress = progress
-
-    def record(self, kind: str, until: Mapping[Theta, float]) -> list[Recording]:
-        """Execute motions, each until a time since its onset [s], and return their recordings in order."""
-        if not until:
-            return []
-        name, seed = self._config.backend.name, self._config.seed
-        training = self._config.training.model_copy(update={"motions": tuple(until)})
-        config = self._config.model_copy(update={"training": training})
-        logs = self._folder.path / "logs" / name / f"interpolation_{kind}"
-        trials = [Trial(TrialKind.TRAINING, index, seed) for index in range(len(until))]
-        tasks = [
-            TrialTask(config, trial, logs / log_name(trial), duration=START_MARGIN + end)
-            for trial, end in zip(trials, until.values(), strict=True)
-        ]
-        done, label = 0, f"{name}: motions, {kind}"
-        self._progress(label, 0, len(tasks))
-
-        def count(_: TrialTask) -> None:
-            nonlocal done
-            done += 1
-            self._progress(label, done, len(tasks))
-
-        run_tasks(tasks, self._jobs, count)
-        return [self._read(task, end) for task, end in zip(tasks, until.values(), strict=True)]
-
-    def _read(self, task: TrialTask, end: float) -> Recording:
-        log = read_log(task.log_path)
-        plan = last_plan(log)
-        time, position = marker_track(log, self._config.robot.hand_marker)
-        if plan is not None:
-            time = time - plan.plan_onset_utime * 1e-6
-            recording = Recording(Theta(*plan.theta), time, position)
-            if recording.covers(end):
-                return recording
-        raise TrainingDataError(f"{task.log_path} does not show the hand {end:.3f} s after the onset of a motion")

@@ -92,6 +92,7 @@ def run_trial(
             raise
         finally:
             backend.close()
+            bus.close()
     return backend.utime * 1e-6
 
 

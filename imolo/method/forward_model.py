@@ -16,6 +16,9 @@ from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_s
 
 Array = NDArray[np.float64]
 
+# The search for a kernel takes the cube of their number: some seconds for these, a minute for twice as many.
+SEARCHED_SAMPLES = 600
+
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
@@ -55,6 +58,11 @@ class TrainingData:
                 "there are no training samples; record trials that reach the sampled time after t_w"
             )
 
+    def thinned(self, most: int) -> "TrainingData":
+        """Return every second sample, or every third and so on, so that there are at most this many."""
+        kept = slice(None, None, -(-len(self.time) // most))
+        return TrainingData(self.theta[kept], self.time[kept], self.position[kept])
+
 
 class ForwardModelConfig(Model):
     """Which regression approximates f and what it is fed; `PAPER_SVR`, `GPR` and `MLP` are ready-made.
@@ -68,6 +76,8 @@ class ForwardModelConfig(Model):
         time: Third input: the time since the onset as in Eq. 2, or since the swing, t - t_w.
         kernel: Of a Gaussian process: infinitely smooth, or once differentiable (Matérn 3/2), which claims to know less
             between the trials.
+        prior: Table file learned on another body; the regression then learns by which the samples differ from what
+            that predicts. See docs/transfer.md.
     """
 
     estimator: str = "SVR"
@@ -76,6 +86,7 @@ class ForwardModelConfig(Model):
     outputs: Literal["raw", "standardized"] = "raw"
     time: Literal["since_onset", "since_swing"] = "since_onset"
     kernel: Literal["rbf", "matern"] = "rbf"
+    prior: str | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -133,17 +144,28 @@ class _Scaling:
 
 
 class ForwardModel:
-    """Predicts where the hand is from the motion parameter and the time (Eq. 2)."""
+    """Predicts where the hand is from the motion parameter and the time (Eq. 2).
 
-    def __init__(self, config: ForwardModelConfig = PAPER_SVR) -> None:
+    With a prior, s = prior(theta, t) + r(theta, t): the regression learns r, by which the samples differ from it.
+    """
+
+    def __init__(self, config: ForwardModelConfig = PAPER_SVR, prior: "ForwardModel | None" = None) -> None:
         """Create an unfitted model.
 
+        Args:
+            config: Which regression.
+            prior: A fitted model of another body, such as an engine, that moves nearly alike.
+
         Raises:
-            ConfigError: The estimator or one of its parameters is unknown.
+            ConfigError: The estimator or one of its parameters is unknown, or the prior of the config is not given.
         """
+        if config.prior is not None and prior is None:
+            raise ConfigError(f"the model is to correct the prior {config.prior}; use `prior.fit_forward_model`")
         self.config = config
-        self._regressor = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
+        self.prior = prior
+        self._unfitted = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
         self._training: TrainingData | None = None
+        self._regressor: Any
         self._input_scaling: _Scaling
         self._output_scaling: _Scaling
         self._gaussian_sum: GaussianSum | None = None
@@ -174,10 +196,20 @@ class ForwardModel:
         training = TrainingData(np.asarray(theta), np.asarray(time), np.asarray(position))
         features = self._features(training.theta, training.time)
         input_scaling = _Scaling.of(features, self.config.inputs)
-        output_scaling = _Scaling.of(training.position, self.config.outputs)
+        outputs = training.position - self._expected(training.theta, training.time)
+        output_scaling = _Scaling.of(outputs, self.config.outputs)
         inputs = input_scaling.apply(features)
-        regressor = clone(self._regressor)
-        fit_quietly(regressor, inputs, output_scaling.apply(training.position), self.config.estimator)
+        targets = output_scaling.apply(outputs)
+        regressor = clone(self._unfitted)
+        if isinstance(regressor, GaussianProcessRegressor):
+            noise = self._noise_of_the_prior(training, output_scaling) + regressor.alpha
+            if len(inputs) > SEARCHED_SAMPLES and regressor.optimizer is not None:
+                some = slice(None, None, -(-len(inputs) // SEARCHED_SAMPLES))
+                regressor.set_params(alpha=noise[some])
+                fit_quietly(regressor, inputs[some], targets[some], self.config.estimator)
+                regressor = clone(regressor).set_params(kernel=regressor.kernel_, optimizer=None)
+            regressor.set_params(alpha=noise)
+        fit_quietly(regressor, inputs, targets, self.config.estimator)
         self._regressor, self._gaussian_sum = regressor, gaussian_sum(regressor, inputs)
         self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training
         return self
@@ -201,10 +233,12 @@ class ForwardModel:
                 result = self._gaussian_sum.evaluate(inputs)
             else:
                 result = np.concatenate([self._regressor.predict(inputs[part]) for part in chunks(len(inputs))])
-        return result * self._output_scaling.spread + self._output_scaling.mean
+        result = result * self._output_scaling.spread + self._output_scaling.mean
+        result += self._expected(theta, time)
+        return result
 
     def predict_std(self, theta: ArrayLike, time: ArrayLike) -> Array:
-        """Predict the standard deviation of hand positions, the noise of the samples included.
+        """Predict the standard deviation of hand positions, the noise of the samples included, and that of the prior.
 
         Args:
             theta: Motion parameters, shape (N, 2): k [-], t_w [s].
@@ -224,26 +258,45 @@ class ForwardModel:
             )
         with one_thread():
             parts = [self._regressor.predict(inputs[part], return_std=True)[1] for part in chunks(len(inputs))]
-        return np.concatenate(parts) * self._output_scaling.spread
+        result = np.concatenate(parts) * self._output_scaling.spread
+        if self.prior is not None and self.prior.knows_std:
+            # Two errors that have nothing to do with each other.
+            result = np.hypot(result, self.prior.predict_std(theta, time))
+        return result
 
     @property
     def knows_std(self) -> bool:
         """Whether the estimator predicts a standard deviation."""
-        return "return_std" in signature(self._regressor.predict).parameters
+        return "return_std" in signature(self._unfitted.predict).parameters
 
     def refitted(self, theta: ArrayLike, time: ArrayLike, position: ArrayLike) -> "ForwardModel":
-        """Return the same model of other samples; a fitted Gaussian process keeps its kernel.
+        """Return the same model of other samples; a fitted Gaussian process keeps its kernel, and the prior stays.
 
         Args:
             theta: Motion parameters, shape (N, 2): k [-], t_w [s].
             time: Time since motion onset [s], shape (N,).
             position: Hand positions in the world frame [m], shape (N, 3).
         """
-        other = ForwardModel(self.config)
-        if isinstance(self._regressor, GaussianProcessRegressor):
+        other = ForwardModel(self.config, self.prior)
+        if isinstance(self._unfitted, GaussianProcessRegressor):
             # 15 searches for a kernel take seconds, and one trial less would not find another.
-            other._regressor = clone(self._regressor).set_params(kernel=self._regressor.kernel_, optimizer=None)
+            other._unfitted = clone(self._unfitted).set_params(kernel=self._regressor.kernel_, optimizer=None)
         return other.fit(theta, time, position)
+
+    def _expected(self, theta: ArrayLike, time: ArrayLike) -> Array:
+        """Return what is predicted before anything is learned [m], shape (N, 3)."""
+        return np.zeros((len(np.asarray(theta)), 3)) if self.prior is None else self.prior.predict(theta, time)
+
+    def _noise_of_the_prior(self, training: TrainingData, scaling: _Scaling) -> Array:
+        """Return the variance that a process is to take for noise, in the scale of its targets, shape (N,).
+
+        Where the prior is unsure, a sample says little about how the two bodies differ.
+        """
+        if self.prior is None or not self.prior.knows_std:
+            return np.zeros(len(training.time))
+        std = self.prior.predict_std(training.theta, training.time) / scaling.spread
+        noise: Array = np.mean(std**2, axis=1)
+        return noise
 
     def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:
         _ = self.training

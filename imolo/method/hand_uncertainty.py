@@ -8,6 +8,7 @@ from imolo.method.forward_model import ForwardModel
 Array = NDArray[np.float64]
 
 FEWEST_MOTIONS = 3  # assumed: with fewer nothing is learned of what lies between them
+MOST_LEFT_OUT = 60  # motions, evenly among all: a mean over more of them would tell the floor no better than to 10 %
 
 
 class HandUncertainty:
@@ -36,7 +37,7 @@ class HandUncertainty:
             self.floor: Array = training.position.std(axis=0)
             return
         errors, variances, weights = [], [], []
-        for motion in motions:
+        for motion in motions[:: -(-len(motions) // MOST_LEFT_OUT)]:
             left_out = (training.theta == motion).all(axis=1)
             rest = ~left_out
             other = model.refitted(training.theta[rest], training.time[rest], training.position[rest])

@@ -3,6 +3,7 @@
 import logging
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -105,6 +106,17 @@ def fit_quietly(regressor: Any, inputs: Array, outputs: Array, name: str) -> Non
             raise ConfigError(f"estimator {name} cannot be fitted to {len(inputs)} samples: {reason}") from error
     for warning in caught:
         logger.warning("fit of %s: %s", name, " ".join(str(warning.message).split()))
+
+
+@contextmanager
+def quiet_fits() -> Iterator[None]:
+    """Log nothing of fits: hundreds to motions without noise find next to none, and rightly so."""
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.hit_choice import group_by_motion
 from imolo.method.hit_kernel import Swings
 from imolo.method.motion import MotionTemplate, Theta, to_microseconds
+from imolo.method.prior import fit_forward_model
 from imolo.method.table_file import read_table_file, write_table_file
 from imolo.method.table_kernel import first_match
 
@@ -288,9 +289,12 @@ class LookupTable:
         return group_by_motion(self.theta, self.time, position, self.hand_std, self.grid.spacing)
 
     def refit(self) -> ForwardModel:
-        """Return the forward model, fitted again to the stored training data."""
-        training = self.training
-        return ForwardModel(self.forward_model).fit(training.theta, training.time, training.position)
+        """Return the forward model, fitted again to the stored training data.
+
+        Raises:
+            TableFileError: It had a prior, whose table cannot be read.
+        """
+        return fit_forward_model(self.forward_model, self.training, self.robot, self.template)
 
     def save(self, path: Path) -> None:
         """Write table, training data and configuration to one file.

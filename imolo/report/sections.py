@@ -1,13 +1,13 @@
 """Further results that may lie in the folder; a new kind of them is one more line of `SECTIONS`."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
-from imolo.errors import ResultsError
+from imolo.experiment import sample_efficiency_report as efficiency_report
+from imolo.experiment import transfer_report
 from imolo.experiment.attribution import Attribution
 from imolo.experiment.interpolation_report import (
     BARS_COLUMNS,
@@ -20,6 +20,8 @@ from imolo.experiment.interpolation_report import (
     model_rows,
 )
 from imolo.experiment.interpolation_study import InterpolationStudy
+from imolo.experiment.sample_efficiency import SampleEfficiency
+from imolo.experiment.transfer import Transfer
 from imolo.report.folder import parse, read_text
 
 Context = Mapping[str, Any]
@@ -134,42 +136,46 @@ def interpolation_tables(path: Path) -> Context:
     }
 
 
-def any_tables(path: Path) -> Context:
-    """Return the numbers of any JSON file: lists of records as tables, single values as one."""
-    try:
-        content = json.loads(read_text(path))
-    except ValueError as error:
-        raise ResultsError(f"{path} is damaged: {error}; remove it, or write it again") from error
-    grids: list[Grid] = []
-    _collect("", content, grids)
-    return {"note": "", "grids": grids}
+def transfer_tables(path: Path) -> Context:
+    """Return the transfer matrix without and with the correction."""
+    result = parse(Transfer, read_text(path), path)
+    names = transfer_report.players(result)
+    grids = [
+        Grid(
+            transfer_report.title(result, corrected=corrected),
+            ("learned in", *(f"balls in {name}" for name in names)),
+            [
+                (
+                    row or transfer_report.ALONE,
+                    *(transfer_report.cell_text(result.cell(row, name, corrected)) for name in names),
+                )
+                for row in transfer_report.rows(result, corrected=corrected)
+            ],
+        )
+        for corrected in (False, True)
+    ]
+    return {"note": "Hits with Wilson 95 % interval, and hand to selected grid point, mean ± sd.", "grids": grids}
 
 
-def _collect(name: str, content: Any, grids: list[Grid]) -> None:
-    if isinstance(content, list) and content and all(isinstance(entry, dict) for entry in content):
-        columns = tuple(dict.fromkeys(key for entry in content for key in entry))
-        grids.append(Grid(name, columns, [[_cell(entry.get(key)) for key in columns] for entry in content]))
-    elif isinstance(content, dict):
-        plain = {key: value for key, value in content.items() if not isinstance(value, dict | list) or _is_short(value)}
-        if plain:
-            grids.append(Grid(name, ("", ""), [(key, _cell(value)) for key, value in plain.items()]))
-        for key, value in content.items():
-            if key not in plain:
-                _collect(f"{name} / {key}" if name else str(key), value, grids)
-    else:
-        grids.append(Grid(name, ("",), [(_cell(content),)]))
-
-
-def _is_short(value: Any) -> bool:
-    return isinstance(value, list) and len(value) <= 6 and not any(isinstance(entry, dict | list) for entry in value)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return value if isinstance(value, str) else json.dumps(value)
+def trials_tables(path: Path) -> Context:
+    """Return the hand error of every model against the number of trials."""
+    study = parse(SampleEfficiency, read_text(path), path)
+    numbers = efficiency_report.numbers(study)
+    grids = []
+    for setting in efficiency_report.SETTINGS:
+        rows = []
+        for backend in efficiency_report.backends(study):
+            for model in efficiency_report.models(study, backend):
+                found = {point.trials: point for point in study.curve(backend, setting, model)}
+                cells = (efficiency_report.point_text(found.get(number)) for number in numbers)
+                rows.append((backend, model, *cells))
+            rows.append((backend, "floor", _tenths(study.floor(backend, setting)), *("" for _ in numbers[1:])))
+        grids.append(Grid(setting, ("backend", "model", *map(str, numbers)), rows))
+    note = (
+        f"Hand error on {study.sizes.tests} other motions [mm] against the number of trials, in brackets squared error "
+        "over predicted variance (1 is honest). 0: the prior as it is."
+    )
+    return {"note": note, "grids": grids}
 
 
 def _tenths(length: float | None) -> str:
@@ -185,5 +191,6 @@ SECTIONS = (
         interpolation_tables,
         figures=("figures/interpolation.png",),
     ),
-    Section("transfer.json", "From one engine to another", any_tables, figures=("figures/transfer.png",)),
+    Section("transfer.json", "From one engine to another", transfer_tables, figures=("figures/transfer.png",)),
+    Section("trials.json", "How many trials it takes", trials_tables, figures=("figures/trials.png",)),
 )

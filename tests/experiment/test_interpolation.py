@@ -18,8 +18,6 @@ from imolo.experiment.interpolation import (
     Choice,
     PairedTest,
     Problem,
-    Recording,
-    Window,
     answer,
     draw_problem,
     draw_theta,
@@ -27,7 +25,8 @@ from imolo.experiment.interpolation import (
     nearest_tuple,
 )
 from imolo.experiment.interpolation_report import draw_study, findings, parse_trials
-from imolo.experiment.interpolation_study import GRID, InterpolationStudy, _Bench, _without_chance, study
+from imolo.experiment.interpolation_study import GRID, InterpolationStudy, study
+from imolo.experiment.motion_recorder import Recording, Window, record_motions, without_chance
 from imolo.experiment.results import ResultsFolder
 from imolo.experiment.summary import millimetres
 from imolo.method.forward_model import GPR, ForwardModel
@@ -211,14 +210,13 @@ def test_figure_has_a_panel_for_every_backend(small: tuple[InterpolationStudy, P
 def test_motion_executed_again_is_the_recorded_one(tmp_path: Path) -> None:
     """What lets the raw table's choices go without a second execution, and without pressures in the log."""
     theta = Theta(0.4, 0.25)
-    told = _without_chance(config("mujoco"))
+    told = without_chance(config("mujoco"))
     more = told.model_copy(
         update={"simulation": told.simulation.model_copy(update={"pressure_rate": 1000.0, "truth_rate": 240.0})}
     )
     hands = []
     for number, (chosen, end) in enumerate(((told, 0.47), (told, 0.40), (more, 0.47))):
-        bench = _Bench(chosen, ResultsFolder(tmp_path / str(number)), 1, lambda *_: None)
-        recording = bench.record("again", {theta: end})[0]
+        recording = record_motions(chosen, [(theta, end)], tmp_path / str(number), 1)[0]
         hands.append(recording.position[recording.time < 0.40])
     assert np.array_equal(hands[0], hands[1])
     assert np.array_equal(hands[0], hands[2])

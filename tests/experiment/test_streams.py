@@ -12,6 +12,7 @@ from imolo import channels
 from imolo.backend import EventName, TrialKind
 from imolo.config.simulation import SimulationConfig
 from imolo.experiment.recordings import hand_at, last_plan
+from imolo.experiment.trainer import START_MARGIN
 from imolo.experiment.trial import SLICE
 from imolo.log import Log
 from imolo.method.motion import Theta
@@ -21,6 +22,7 @@ THETA = Theta(0.5, 0.25)
 STEP = round(COARSE * 1e6)  # [µs]
 TICK = SLICE  # [µs] at which the bus is looked at
 RATES = SimulationConfig()
+DURATION = START_MARGIN + THETA.t_w  # [s] of the training trial
 
 
 @pytest.fixture(scope="module", params=BACKENDS)
@@ -63,7 +65,7 @@ def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
 def test_pressures_and_truth_come_at_their_rates(training: Log, channel: str, rate: float) -> None:
     utimes = [message.utime for message in training.messages[channel]]
     # On the first step after each instant.
-    instants = np.arange(1, int(0.3 * rate + 1e-6) + 1) / rate
+    instants = np.arange(1, int(DURATION * rate + 1e-6) + 1) / rate
     assert utimes == [STEP * ceil(instant / COARSE - 1e-6) for instant in instants]
     # The bus is drained at the end of a slice.
     assert training.received[channel] == [SLICE * ceil(utime / SLICE) for utime in utimes]
@@ -76,7 +78,7 @@ def test_every_mocap_frame_has_its_truth(training: Log) -> None:
 
 def test_pressures_are_numbered_without_a_gap(training: Log) -> None:
     numbers = [message.pressure_sequence for message in training.messages[channels.VALVE_PRESSURE]]
-    assert numbers == list(range(1, 301))
+    assert numbers == list(range(1, round(DURATION * RATES.pressure_rate) + 1))
 
 
 def test_frames_are_exposed_at_120_hz(training: Log) -> None:

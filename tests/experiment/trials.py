@@ -11,7 +11,7 @@ from imolo import channels
 from imolo.backend import Trial, TrialKind
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.trainer import MotionPlayer
+from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
 from imolo.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
@@ -56,7 +56,7 @@ def play(
 
 def play_motion(chosen: ExperimentConfig, path: Path, theta: Theta, after: float) -> Log:
     """Run one motion until `after` seconds after t_w."""
-    return play(chosen, path, MotionPlayer(chosen.motion, theta), 0.05 + theta.t_w + after)
+    return play(chosen, path, MotionPlayer(chosen.motion, theta), START_MARGIN + theta.t_w + after)
 
 
 class Commander:

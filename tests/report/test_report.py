@@ -13,11 +13,11 @@ from results_folder import BALLS, METHODS, make_results
 from imolo.cli import main
 from imolo.errors import ImoloError
 from imolo.experiment.comparison import Comparison
-from imolo.experiment.metrics import wilson_interval
+from imolo.experiment.metrics import Statistic, wilson_interval
 from imolo.experiment.results import ResultsFolder
 from imolo.experiment.summary import millimetres
+from imolo.experiment.transfer import Cell, Transfer
 from imolo.report.page import write_report
-from imolo.report.sections import any_tables
 
 
 class Page(HTMLParser):
@@ -126,7 +126,6 @@ def test_provenance_names_seed_digests_versions_and_the_command(page: Page, fold
 def test_names_and_outcomes_are_escaped(tmp_path: Path) -> None:
     evil = "<img src=x onerror=alert(1)>"
     folder = make_results(tmp_path / "results", backends=(evil,), outcome="</script><b>")
-    (folder.path / "transfer.json").write_text(json.dumps({evil: [{"name": evil}]}))
     page = Page(write_report(folder.path, tmp_path / "report.html").path)
     assert evil not in page.source
     assert "</script><b>" not in page.source
@@ -137,15 +136,20 @@ def test_names_and_outcomes_are_escaped(tmp_path: Path) -> None:
 def test_other_results_become_sections(folder: ResultsFolder, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()
-    rows = [{"from": "alpha", "to": "beta", "hits": 17, "rate": 0.85}, {"from": "beta", "to": "alpha", "hits": None}]
-    (alone / "transfer.json").write_text(json.dumps({"seed": 1, "pairs": rows}))
+    cell = Cell(
+        learned_in="alpha",
+        played_in="beta",
+        corrected=False,
+        hits=17,
+        balls=20,
+        interval=wilson_interval(17, 20),
+        hand_error=Statistic.of([0.010, 0.014]),
+    )
+    result = Transfer(seed=1, motions=200, trials=15, versions={}, configs={}, cells=(cell,))
+    (alone / "transfer.json").write_text(result.model_dump_json())
     page = Page(write_report(alone, tmp_path / "report.html").path)
-    assert page.tables == [
-        [["", ""], ["seed", "1"]],
-        [["from", "to", "hits", "rate"], ["alpha", "beta", "17", "0.85"], ["beta", "alpha", "–", "–"]],
-    ]
+    assert ["alpha", "17/20 (64-95 %), 12±3 mm"] in [row for table in page.tables for row in table]
     assert "replay" not in {reference for _, reference in page.references}
-    assert len(any_tables(alone / "transfer.json")["grids"]) == 2
 
 
 def _remove(name: str) -> Callable[[Path], object]:
@@ -173,7 +177,7 @@ def _cut(name: str) -> Callable[[Path], object]:
         (_write("configs/beta.yaml", "{backend: {name: beta}, methods: {other: {}}}"), ("beta.yaml", "'paper'")),
         (_write("ball.json", "{}"), ("ball.json", "is damaged")),
         (_write("attribution.json", "nonsense"), ("attribution.json", "is damaged")),
-        (_write("transfer.json", "{"), ("transfer.json", "is damaged")),
+        (_write("interpolation.json", "{"), ("interpolation.json", "is damaged")),
         (_write("logs/beta/paper/hit_001.lcmlog", "no log at all"), ("hit_001.lcmlog",)),
     ],
 )

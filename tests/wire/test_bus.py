@@ -1,5 +1,9 @@
 """The bus: strict order, isolation, and errors that say what to do."""
 
+import gc
+from functools import partial
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,3 +106,16 @@ def test_drain_of_a_silent_bus_returns() -> None:
 def test_subscription_to_an_unknown_channel_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(BusError, match="did you mean 'MOCAP'"):
         Bus().subscribe("MOCPA", lambda _: None)
+
+
+def test_closed_bus_gives_back_its_file_descriptors() -> None:
+    def used_up() -> int:
+        bus = Bus()
+        bus.subscribe(channels.MOCAP, partial(bus.publish, channels.PLAN))  # refers to the bus, as handlers do
+        bus.close()
+        del bus
+        gc.collect()
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    first = used_up()
+    assert [used_up() for _ in range(5)] == [first] * 5

@@ -1,0 +1,27 @@
+"""Which motion to try next: the one of which the forward model knows least."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imolo.method.forward_model import ForwardModel
+
+Array = NDArray[np.float64]
+
+
+def least_certain(model: ForwardModel, motions: Array, since_swing: Sequence[float]) -> int:
+    """Return which motion has the largest variance, summed over the axes and the times.
+
+    Args:
+        model: Fitted; its estimator predicts a standard deviation.
+        motions: To choose from, shape (M, 2): k [-], t_w [s].
+        since_swing: Times t - t_w at which the hand matters [s].
+
+    Raises:
+        ConfigError: The estimator knows no standard deviation.
+    """
+    theta = np.repeat(motions, len(since_swing), axis=0)
+    time = theta[:, 1] + np.tile(since_swing, len(motions))
+    variance = (model.predict_std(theta, time) ** 2).sum(axis=1).reshape(len(motions), -1)
+    return int(variance.sum(axis=1).argmax())
