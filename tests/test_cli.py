@@ -21,7 +21,19 @@ from imolo.log import read_log
 
 IMOLO = Path(sys.executable).with_name("imolo")
 COMMANDS = (
-    *("backends", "check", "attribute", "compare", "learn", "hit", "ball", "interpolation", "report"),
+    *(
+        "backends",
+        "check",
+        "attribute",
+        "compare",
+        "learn",
+        "hit",
+        "ball",
+        "interpolation",
+        "trials",
+        "transfer",
+        "report",
+    ),
     *("spy", "top", "replay", "diff", "export", "plot", "view"),
     *("backend", "planner", "record", "throw", "up"),
     *("board", "arm", "disarm", "emulate"),

@@ -138,7 +138,7 @@ def test_other_results_become_sections(folder: ResultsFolder, tmp_path: Path) ->
     alone.mkdir()
     cell = Cell(
         learned_in="alpha",
-        played_in="beta",
+        played_in="alpha",
         corrected=False,
         hits=17,
         balls=20,
