@@ -50,6 +50,9 @@ class ChaoticLCM:
     def subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> Any:
         return self._lcm.subscribe(channel, handler)
 
+    def unsubscribe(self, subscription: Any) -> None:
+        self._lcm.unsubscribe(subscription)
+
     def handle_timeout(self, timeout: int) -> int:
         self._release()
         return int(self._lcm.handle_timeout(timeout))
