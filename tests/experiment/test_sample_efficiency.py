@@ -15,6 +15,7 @@ from imolo.experiment.sample_efficiency import (
     ACTIVE,
     CONFIGURED,
     GRID,
+    MODEL,
     PAPER,
     PLAIN,
     START,
@@ -32,7 +33,6 @@ from imolo.experiment.sample_efficiency import (
     upon,
 )
 from imolo.experiment.sample_efficiency_report import draw_study, point_text
-from imolo.experiment.transfer import MODEL
 from imolo.method.active import least_certain
 from imolo.method.forward_model import PAPER_SVR, ForwardModel
 from imolo.method.motion import Theta

@@ -31,6 +31,7 @@ from imolo_drivers.natnet.config import NatNetServerConfig
 PATIENCE = 20.0  # [s]
 SIMULATION_ONLY = {channels.TRUTH_ROBOT, channels.TRUTH_BALL}
 THETA = Theta(0.5, 0.25)
+DURATION = START_MARGIN + THETA.t_w + 0.3  # [s] of a training trial
 PATIENT = {
     "camera_patience": 5.0,
     "board_silence": 5.0,
@@ -93,7 +94,7 @@ def training(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     """Return the same motion through the emulator, and simulated in this process."""
     folder = tmp_path_factory.mktemp(request.param)
     with emulator(request.param) as running:
-        log = play(running, folder / "robot", TrialKind.TRAINING, MotionPlayer(MotionTemplate(), THETA), 0.6)
+        log = play(running, folder / "robot", TrialKind.TRAINING, MotionPlayer(MotionTemplate(), THETA), DURATION)
     return log, trials.play_motion(trials.config(request.param), folder / "simulated", THETA, 0.3)
 
 

@@ -15,7 +15,7 @@ from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
 from imolo.errors import BackendError, ConfigError, NatNetError, NatNetVersionError, TrialVoidError
 from imolo.experiment.campaign import TrialTask, run_tasks
-from imolo.experiment.trainer import MotionPlayer
+from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander
 from imolo.live.backend_program import BackendProgram
 from imolo.live.identity import ClockMode
@@ -50,7 +50,7 @@ def void(log_path: Path) -> str:
 
 def test_motion_reaches_the_valves_and_the_streams_come_back(tmp_path: Path) -> None:
     with scripted_robot() as robot:
-        log = play(config(robot), tmp_path / "log", player(), 0.4)
+        log = play(config(robot), tmp_path / "log", player(), START_MARGIN + 0.3)
     spoken = {name for name, messages in log.messages.items() if messages}
     expected = {channels.VALVE_COMMAND, channels.VALVE_PRESSURE, channels.MOCAP, channels.PLAN, channels.TRIAL}
     assert spoken == expected
@@ -107,14 +107,14 @@ def test_nobody_who_arms_ends_the_wait_in_one_line(tmp_path: Path, caplog: pytes
 
 def test_dry_run_moves_nothing(tmp_path: Path) -> None:
     with scripted_robot() as robot:
-        log = play(config(robot, dry_run=True), tmp_path / "log", player(), 0.3)
+        log = play(config(robot, dry_run=True), tmp_path / "log", player(), START_MARGIN + 0.2)
     assert EventName.ONSET in events(log)
     assert {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]} == {VENTED_PRESSURE}
 
 
 def test_robot_is_vented_and_disarmed_after_the_trial(tmp_path: Path) -> None:
     with scripted_robot() as robot:
-        play(config(robot), tmp_path / "log", player(), 0.2)
+        play(config(robot), tmp_path / "log", player(), START_MARGIN + 0.1)
         play(config(robot), tmp_path / "again", Bystander(), 0.05, TrialKind.THROW)
         assert robot.server.board.state.name == "VENTED"
         assert robot.server.board.cause == "disarmed by the end of the trial"
@@ -231,7 +231,7 @@ def test_short_stall_is_reported_once_and_the_trial_goes_on(tmp_path: Path, capl
         return markers if not 0.10 < elapsed < 0.22 else None
 
     with scripted_robot(stall) as robot:
-        log = play(config(robot, camera_patience=5.0), tmp_path / "log", player(), 0.5)
+        log = play(config(robot, camera_patience=5.0), tmp_path / "log", player(), START_MARGIN + 0.4)
     assert caplog.text.count("no camera frame for") == 1
     assert events(log)[-1] == EventName.END
 
@@ -280,7 +280,7 @@ def test_truncated_and_foreign_packets_are_passed_over(tmp_path: Path, caplog: p
         def disturb(utime: int) -> None:
             robot.packets += [whole[: utime % len(whole)], b"\x07\x00\xff\xff", bytes(5)]
 
-        log = play(config(robot), tmp_path / "log", player(), 0.3, after_slice=disturb)
+        log = play(config(robot), tmp_path / "log", player(), START_MARGIN + 0.2, after_slice=disturb)
     assert events(log) == [EventName.START, EventName.ONSET, EventName.END]
     assert int(re.findall(r"(\d+) packets unreadable", caplog.text)[0]) > 0
 
