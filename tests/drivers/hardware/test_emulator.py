@@ -20,7 +20,7 @@ from imolo.channels import STREAMS
 from imolo.config.experiment import BackendConfig, ExperimentConfig
 from imolo.errors import BackendError
 from imolo.experiment.recordings import hand_samples
-from imolo.experiment.trainer import MotionPlayer
+from imolo.experiment.trainer import START_MARGIN, MotionPlayer
 from imolo.experiment.trial import Bystander, Controller, run_trial
 from imolo.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
