@@ -14,6 +14,7 @@ from imolo.experiment.transfer import Cell, Transfer
 
 PAPER_HAND_ERROR = 0.0129  # [m] Sec. VII-C
 WORST_HAND_ERROR = 0.05  # [m] where the colours end
+LUMA = (0.299, 0.587, 0.114)  # of red, green and blue in the brightness, ITU-R BT.601
 ALONE = "trials alone"
 
 
@@ -67,17 +68,17 @@ def draw_transfer(result: Transfer) -> Figure:
         figure = Figure(figsize=(9.5, 6.8), layout="constrained")
         panels = figure.subplots(2, 2, squeeze=False)
         for column, corrected in zip(panels.T, (False, True), strict=True):
-            _draw(column[0], result, corrected, lambda cell: 100.0 * cell.rate, "hit rate [%]", "RdYlGn", 100.0)
+            _draw(column[0], result, corrected, lambda cell: 100.0 * cell.rate, "hit rate [%]", "viridis", 100.0)
             _draw(
                 column[1],
                 result,
                 corrected,
                 lambda cell: np.nan if cell.hand_error.mean is None else 1e3 * cell.hand_error.mean,
                 "hand error [mm]",
-                "RdYlGn_r",
+                "viridis_r",
                 1e3 * WORST_HAND_ERROR,
             )
-            column[0].set_title(title(result, corrected=corrected), fontsize=9)
+            column[0].set_title(title(result, corrected=corrected).replace(", ", ",\n"), fontsize=9)
         figure.suptitle(
             f"Rows: where a table was learned; columns: where the balls were thrown "
             f"(the paper's robot: 80 %, {1e3 * PAPER_HAND_ERROR:.1f} mm)",
@@ -100,7 +101,9 @@ def _draw(
     values = np.array([[np.nan if cell is None else value(cell) for cell in row] for row in cells])
     image = axes.imshow(values, cmap=colors, vmin=0.0, vmax=top)
     for i, j in np.argwhere(np.isfinite(values)):
-        axes.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color="#222222", fontsize=9)
+        brightness = np.dot(image.cmap(image.norm(values[i, j]))[:3], LUMA)
+        color = "#222222" if brightness > 0.5 else "white"
+        axes.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color=color, fontsize=9)
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(learned)), [row or ALONE for row in learned])
     axes.tick_params(length=0)
