@@ -1,7 +1,9 @@
 """Real-time priority for the programs that a clock on the wall drives."""
 
 import os
+from pathlib import Path
 
+THREADS = Path("/proc/self/task")
 # Of SCHED_FIFO, where 1 is lowest: above all ordinary programs, below the interrupts of a real-time kernel (50).
 BOARD_PRIORITY, BACKEND_PRIORITY, PLANNER_PRIORITY = 30, 20, 10
 
@@ -9,7 +11,8 @@ BOARD_PRIORITY, BACKEND_PRIORITY, PLANNER_PRIORITY = 30, 20, 10
 def claim_priority(priority: int) -> str:
     """Ask that this program be woken before all ordinary ones, as control loops are (SCHED_FIFO, see sched(7)).
 
-    Without it a busy machine wakes a program milliseconds late. It sleeps most of the time, so others hardly notice.
+    Without it a busy machine wakes a program milliseconds late. It sleeps most of the time, so others hardly notice. It
+    holds for all threads that there are: LCM has one that receives.
 
     Args:
         priority: From 1 to 99.
@@ -18,8 +21,9 @@ def claim_priority(priority: int) -> str:
         What it is now, in words.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-    except AttributeError:
+        for thread in THREADS.iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except (AttributeError, FileNotFoundError):
         return "ordinary priority (real-time priority needs Linux)"
     except PermissionError:
         return "ordinary priority (real-time priority needs root, or an rtprio limit in /etc/security/limits.conf)"

@@ -290,12 +290,14 @@ class ForwardModel:
     def _noise_of_the_prior(self, training: TrainingData, scaling: _Scaling) -> Array:
         """Return the variance that a process is to take for noise, in the scale of its targets, shape (N,).
 
-        Where the prior is unsure, a sample says little about how the two bodies differ.
+        Where the prior is unsure, a sample says little about how the two bodies differ. The prior is off by about as
+        much at all samples of a motion, so that together they say no more than one of them.
         """
         if self.prior is None or not self.prior.knows_std:
             return np.zeros(len(training.time))
         std = self.prior.predict_std(training.theta, training.time) / scaling.spread
-        noise: Array = np.mean(std**2, axis=1)
+        _, motion, samples = np.unique(training.theta, axis=0, return_inverse=True, return_counts=True)
+        noise: Array = np.mean(std**2, axis=1) * samples[motion]
         return noise
 
     def _inputs(self, theta: ArrayLike, time: ArrayLike) -> Array:

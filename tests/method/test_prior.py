@@ -76,7 +76,8 @@ def test_correction_is_a_process_of_the_residuals_in_which_an_unsure_prior_is_no
     residual = shifted(*FEW) - PRIOR.predict(*FEW)
     inputs, queries = (np.column_stack((theta, time - theta[:, 1])) for theta, time in (FEW, OTHERS))
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
-    noise = np.mean((PRIOR.predict_std(*FEW) / residual.std(axis=0)) ** 2, axis=1) + 1e-10
+    of_same_motion = np.array([(FEW[0] == theta).all(axis=1).sum() for theta in FEW[0]])
+    noise = np.mean((PRIOR.predict_std(*FEW) / residual.std(axis=0)) ** 2, axis=1) * of_same_motion + 1e-10
     process = make_regressor("GaussianProcessRegressor", {"random_state": 0, "alpha": noise}, 3)
     targets = (residual - residual.mean(axis=0)) / residual.std(axis=0)
     fit_quietly(process, (inputs - mean) / spread, targets, "GaussianProcessRegressor")
