@@ -6,7 +6,8 @@ from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
 from imolo_msgs import mocap_frame_t, plan_t
 
 # After the first frame [s]. A ball comes half a second after the start, when the robot has long settled into its ready
-# pose. Motions learned at 0.02 s ended up to 20 or 30 mm from those; from 0.3 s on they agree to 1.5 mm (docs/transfer.md).
+# pose. Motions learned at 0.02 s ended up to 20 or 30 mm from those; from 0.3 s on they agree to 1.5 mm
+# (docs/transfer.md).
 ONSET_DELAY = 0.3
 START_MARGIN = ONSET_DELAY + 0.08  # [s] more than to the onset and from the last sample to its arrival
 
