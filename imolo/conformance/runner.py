@@ -6,8 +6,9 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -154,12 +155,8 @@ class _Child:
         # The suite without what it has cached, which does not travel.
         plain = Suite(suite.label, suite.backend, suite.options)
         self._process: BaseProcess = CONTEXT.Process(target=_serve, args=(theirs, plain, self._output), daemon=True)
-        # Ctrl-C ends the parent, which then ends its children; these inherit that they do not hear it.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _interrupts_deferred():
             self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
 
     def begin(self, check: str, limit: float) -> None:
@@ -198,6 +195,25 @@ class _Child:
         self._process.kill()
         self._process.join()
         self.connection.close()
+
+
+@contextlib.contextmanager
+def _interrupts_deferred() -> Iterator[None]:
+    """Start a child whole: Ctrl-C ends the parent afterwards, which then ends its children; these do not hear it."""
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield  # which is never interrupted
+        return
+    # The children inherit the mask. Python interrupts this thread also for a signal that another one has taken.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    if came:
+        raise KeyboardInterrupt
 
 
 def _serve(connection: Connection, suite: Suite, output: Path) -> None:

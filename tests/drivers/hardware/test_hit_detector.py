@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from imolo.backend import EventName
 from imolo.ball.tracker import BallTrackerConfig
@@ -113,6 +114,7 @@ def test_ball_that_lands_is_told_where_and_when_it_landed() -> None:
     at=st.floats(0.55, 0.75),
     away=st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-2.0, 6.0)),
 )
+@example(at=0.625, away=(-3.0, 0.0, -1.0))
 def test_ball_that_is_struck_near_an_arm_is_a_hit(at: float, away: tuple[float, float, float]) -> None:
     bounce, where = kick(at, np.array(away))
     places = fly(THROW, bounce)
@@ -123,7 +125,10 @@ def test_ball_that_is_struck_near_an_arm_is_a_hit(at: float, away: tuple[float, 
     told = watch(places, arm)
     if change > 1.0:
         event = told[EventName.HIT]
-        assert abs(event.utime * 1e-6 - at) < 1.5 / RATE
+        # As long as the ball is within the gate of its old flight nobody can tell that it was struck.
+        config = HitDetectorConfig()
+        gate = np.sqrt(chi2.ppf(config.gate_probability, 3) * (config.margin**2 + 2.0 * config.ball_noise**2))
+        assert abs(event.utime * 1e-6 - at) < 1.5 / RATE + gate / change
         assert np.linalg.norm(event.position - where[0]) < 0.1
     assert told.get(EventName.BALL_LANDED) is None or told[EventName.BALL_LANDED].utime > at * 1e6
 
