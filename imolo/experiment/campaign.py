@@ -128,7 +128,7 @@ def run_tasks(
         else:
             timings[number] = timing
             on_done(task)
-    work = [_Work(_with_absolute_paths(task), origins[number]) for number, task in left]
+    work = [_Work(with_absolute_paths(task), origins[number]) for number, task in left]
     if not work:
         ended: Iterable[tuple[int, TrialTiming]] = ()
     elif parallel.backend == "dask":
@@ -181,7 +181,7 @@ def _origins(tasks: Sequence[TrialTask]) -> list[dict[str, str]]:
     ]
 
 
-def _with_absolute_paths(task: TrialTask) -> TrialTask:
+def with_absolute_paths(task: TrialTask) -> TrialTask:
     """Return a task as it is for a process that was started in another folder."""
     table = None if task.table_path is None else task.table_path.absolute()
     return replace(task, log_path=task.log_path.absolute(), table_path=table)

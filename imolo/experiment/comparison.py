@@ -21,6 +21,7 @@ from imolo.experiment.campaign import (
     leave_interrupts_to_the_parent,
     load_learned,
     run_tasks,
+    with_absolute_paths,
 )
 from imolo.experiment.kept_trials import TrialTiming
 from imolo.experiment.learning import build_table, learn_ball, learn_motions
@@ -142,8 +143,11 @@ def learn(
         # Not before: a folder that holds another campaign is refused as it is.
         folder.save_config(config)
         progress(f"{config.backend.name}: tables", 0, 1)
+    # Processes that are left of another campaign may be in another folder.
+    absolute = ResultsFolder(folder.path.absolute())
     built = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-        delayed(_build_tables)(config, tasks[config.backend.name], folder) for config in configs
+        delayed(_build_tables)(config, list(map(with_absolute_paths, tasks[config.backend.name])), absolute)
+        for config in configs
     )
     for name in built:
         progress(f"{name}: tables", 1, 1)
@@ -180,7 +184,7 @@ def hit(
     results: dict[str, dict[str, MethodResult]] = {name: {} for name, _ in tables}
     timing: dict[str, dict[str, Timing]] = {name: {} for name, _ in tables}
     for (name, method), group in tasks.items():
-        trials = Parallel(n_jobs=jobs)(delayed(_judge)(task) for task in group)
+        trials = Parallel(n_jobs=jobs)(delayed(_judge)(task) for task in map(with_absolute_paths, group))
         results[name][method] = judge_campaign(trials)
         timing[name][method] = _timing(timings[name, method])
     return results, timing
