@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from imolo.backend import TrialKind
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.experiment import METHODS, ExperimentConfig
 from imolo.experiment.campaign import learning_tasks, run_tasks
 from imolo.experiment.learning import learn_motions
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, TrainingData
@@ -23,6 +23,7 @@ MODELS = {
     "SVR, the paper's": PAPER_SVR,
     "SVR, inputs standardised": PAPER_SVR.model_copy(update={"inputs": "standardized"}),
     "Gaussian process": GPR,
+    "Gaussian process of `improved`": METHODS["improved"].forward_model,
     "neural network": MLP,
 }
 

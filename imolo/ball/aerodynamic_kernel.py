@@ -17,45 +17,7 @@ COVARIANCE_STEP = 0.05  # [s] of the uncertainty along a path, which need not be
 LEAST_SPEED = 1e-9  # [m/s] keeps the direction of a ball at rest finite
 
 
-@njit(cache=True)
-def _derivative(state: Array) -> Array:
-    rate = np.zeros_like(state)
-    vx, vy, vz, k = state[3], state[4], state[5], state[6]
-    drag = k * math.sqrt(vx * vx + vy * vy + vz * vz)
-    rate[0], rate[1], rate[2] = vx, vy, vz
-    rate[3], rate[4], rate[5] = -drag * vx, -drag * vy, -drag * vz - GRAVITY
-    if len(state) > 7:
-        wx, wy, wz = state[7], state[8], state[9]
-        rate[3] += wy * vz - wz * vy
-        rate[4] += wz * vx - wx * vz
-        rate[5] += wx * vy - wy * vx
-    return rate
-
-
-@njit(cache=True)
-def _sensitivity_rate(state: Array, sensitivity: Array) -> Array:
-    """Return d/dt of the sensitivity ∂x(t)/∂x(0), shape (n, n)."""
-    n = len(state)
-    speed = math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2) + LEAST_SPEED
-    jacobian = np.zeros((n, n))
-    for i in range(3):
-        jacobian[i, 3 + i] = 1.0
-        for j in range(3):
-            jacobian[3 + i, 3 + j] = -state[6] * state[3 + i] * state[3 + j] / speed
-        jacobian[3 + i, 3 + i] -= state[6] * speed
-        jacobian[3 + i, 6] = -speed * state[3 + i]
-    if n > 7:
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            # (ω × v)_i = ω_j v_k - ω_k v_j
-            jacobian[3 + i, 3 + k] += state[7 + j]
-            jacobian[3 + i, 3 + j] -= state[7 + k]
-            jacobian[3 + i, 7 + j] += state[3 + k]
-            jacobian[3 + i, 7 + k] -= state[3 + j]
-    return jacobian @ sensitivity
-
-
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _acceleration(
     vx: float, vy: float, vz: float, k: float, wx: float, wy: float, wz: float
 ) -> tuple[float, float, float]:
@@ -65,6 +27,41 @@ def _acceleration(
         wz * vx - wx * vz - drag * vy,
         wx * vy - wy * vx - drag * vz - GRAVITY,
     )
+
+
+@njit(cache=True)
+def _sensitivity_rate(velocity: Array, constants: Array, sensitivity: Array, rate: Array) -> None:
+    """Write d/dt of the sensitivity ∂(p, v)/∂x(0), shape (6, n), to `rate`.
+
+    Args:
+        velocity: v, shape (3,).
+        constants: k and perhaps ω, shape (n - 6,).
+        sensitivity: Shape (6, n); that of the constants is 1, and so is not carried along.
+        rate: Shape (6, n).
+    """
+    vx, vy, vz, k = velocity[0], velocity[1], velocity[2], constants[0]
+    wx = wy = wz = 0.0
+    if len(constants) > 1:
+        wx, wy, wz = constants[1], constants[2], constants[3]
+    speed = math.sqrt(vx * vx + vy * vy + vz * vz) + LEAST_SPEED
+    drag, along = k * speed, k / speed
+    for column in range(sensitivity.shape[1]):
+        sx, sy, sz = sensitivity[3, column], sensitivity[4, column], sensitivity[5, column]
+        braked = along * (vx * sx + vy * sy + vz * sz)
+        rate[0, column], rate[1, column], rate[2, column] = sx, sy, sz
+        rate[3, column] = wy * sz - wz * sy - drag * sx - braked * vx
+        rate[4, column] = wz * sx - wx * sz - drag * sy - braked * vy
+        rate[5, column] = wx * sy - wy * sx - drag * sz - braked * vz
+    rate[3, 6] -= speed * vx
+    rate[4, 6] -= speed * vy
+    rate[5, 6] -= speed * vz
+    if len(constants) > 1:
+        rate[3, 8] += vz
+        rate[3, 9] -= vy
+        rate[4, 7] -= vz
+        rate[4, 9] += vx
+        rate[5, 7] += vy
+        rate[5, 8] -= vx
 
 
 @njit(cache=True)
@@ -109,29 +106,51 @@ def transition(
         of this density [m²/s³] has added, shape (n, n).
     """
     n = len(state)
-    sensitivity, noise = np.eye(n), np.zeros((n, n))
+    state, total, noise = state.copy(), np.eye(n), np.zeros((n, n))
+    constants = state[6:]
+    k, wx, wy, wz = constants[0], 0.0, 0.0, 0.0
+    if n > 7:
+        wx, wy, wz = constants[1], constants[2], constants[3]
+    one, at = np.eye(n), np.empty((6, n))
+    rates = np.empty((4, 6, n))
+    velocity, acceleration = np.empty((4, 3)), np.empty((4, 3))
     count = max(1, math.ceil(abs(duration) / longest_step))
     h = duration / count
-    for _ in range(count):
-        one = np.eye(n)
-        k1, s1 = _derivative(state), _sensitivity_rate(state, one)
-        at = state + 0.5 * h * k1
-        k2, s2 = _derivative(at), _sensitivity_rate(at, one + 0.5 * h * s1)
-        at = state + 0.5 * h * k2
-        k3, s3 = _derivative(at), _sensitivity_rate(at, one + 0.5 * h * s2)
-        at = state + h * k3
-        k4, s4 = _derivative(at), _sensitivity_rate(at, one + h * s3)
-        state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        one += h / 6.0 * (s1 + 2.0 * s2 + 2.0 * s3 + s4)
-        sensitivity = one @ sensitivity
-        noise = one @ noise @ one.T
+    for step in range(count):
+        at[:] = one[:6] = np.eye(6, n)
+        for stage in range(4):
+            ahead = h if stage == 3 else 0.5 * h
+            if stage:
+                for axis in range(3):
+                    velocity[stage, axis] = state[3 + axis] + ahead * acceleration[stage - 1, axis]
+                for row in range(6):
+                    for column in range(n):
+                        at[row, column] = one[row, column] + ahead * rates[stage - 1, row, column]
+            else:
+                velocity[0] = state[3:6]
+            ax, ay, az = _acceleration(velocity[stage, 0], velocity[stage, 1], velocity[stage, 2], k, wx, wy, wz)
+            acceleration[stage, 0], acceleration[stage, 1], acceleration[stage, 2] = ax, ay, az
+            _sensitivity_rate(velocity[stage], constants, at, rates[stage])
+        for axis in range(3):
+            v, a = velocity[:, axis], acceleration[:, axis]
+            state[axis] += h / 6.0 * (v[0] + 2.0 * v[1] + 2.0 * v[2] + v[3])
+            state[3 + axis] += h / 6.0 * (a[0] + 2.0 * a[1] + 2.0 * a[2] + a[3])
+        for row in range(6):
+            for column in range(n):
+                r = rates[:, row, column]
+                one[row, column] += h / 6.0 * (r[0] + 2.0 * r[1] + 2.0 * r[2] + r[3])
+        if step:
+            total = one @ total
+            noise = one @ noise @ one.T
+        else:
+            total[:] = one
         t = abs(h)
         for i in range(3):
             noise[i, i] += density * t * t * t / 3.0
             noise[3 + i, 3 + i] += density * t
             noise[i, 3 + i] += density * t * t / 2.0
             noise[3 + i, i] += density * t * t / 2.0
-    return state, sensitivity, noise
+    return state, total, noise
 
 
 @njit(cache=True)

@@ -1,6 +1,7 @@
 """Find and follow the ball among the markers of the motion-capture frames (paper Sec. V-C)."""
 
 import logging
+import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
+from imolo.ball.gate_kernel import nearest_marker
 from imolo.ball.model import BallFilter, BallModel
 from imolo.config.model import Model, NonNegative, Positive
 from imolo_msgs import ball_state_t, marker_t, mocap_frame_t
@@ -145,7 +147,7 @@ class BallTracker:
         self._gate = float(chi2.ppf(config.gate_probability, 3))
         self._restart_gate = float(chi2.ppf(config.gate_probability, 6))
         self._launch_gate = float(chi2.ppf(config.gate_probability, 3 * config.launch_frames - 6))
-        self._margin = config.gate_margin**2 * np.eye(3)
+        self._margin = config.gate_margin**2
         self._warned: set[str] = set()
         self.reset()
 
@@ -153,7 +155,7 @@ class BallTracker:
         """Forget the ball, the robot and the time, as before a new trial, and count from zero."""
         self.counters = TrackerCounters()
         self._newest: int | None = None
-        self._robot: Array | None = None
+        self._robot: list[tuple[float, float, float]] = []  # its markers when it was last seen
         self._track: _Track | None = None
         self._candidates: list[_Samples] = []
 
@@ -182,17 +184,20 @@ class BallTracker:
 
     def _read(self, frame: mocap_frame_t) -> Array:
         """Note where the robot is and return the unlabelled markers [m], shape (M, 3)."""
-        position = np.array([marker.marker_position for marker in frame.markers], dtype=float).reshape(-1, 3)
-        labelled = np.array([marker.marker_id != marker_t.UNLABELLED for marker in frame.markers], dtype=bool)
-        finite = np.isfinite(position).all(axis=1)
-        if not finite.all():
-            self.counters.invalid_markers += int(np.sum(~finite))
-            self._warn_once("a mocap frame (%d) has a marker that is not finite; such markers are ignored", frame.utime)
-        robot = position[labelled & finite]
-        if len(robot):
-            self._robot = robot.mean(axis=0)
-        unlabelled: Array = position[~labelled & finite]
-        return unlabelled
+        robot, unlabelled = [], []
+        for marker in frame.markers:
+            x, y, z = marker.marker_position
+            if not math.isfinite(x + y + z):
+                self.counters.invalid_markers += 1
+                self._warn_once(
+                    "a mocap frame (%d) has a marker that is not finite; such markers are ignored", frame.utime
+                )
+            elif marker.marker_id == marker_t.UNLABELLED:
+                unlabelled.append((x, y, z))
+            else:
+                robot.append((x, y, z))
+        self._robot = robot or self._robot
+        return np.array(unlabelled, dtype=float).reshape(-1, 3)
 
     def _follow(self, track: _Track, utime: int, markers: Array) -> None:
         """Predict a track and correct it by the nearest marker within the gate, or drop it."""
@@ -202,16 +207,12 @@ class BallTracker:
         kalman = track.kalman
         self.model.advance(kalman, (utime - track.utime) * 1e-6)
         track.utime = utime
-        innovation = markers - kalman.x[:3]
-        spread = kalman.P[:3, :3] + kalman.R
-        distance = _mahalanobis(innovation, spread + self._margin)
-        nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest < 0 or distance[nearest] > self._gate:
+        nearest, distance, surprise = nearest_marker(markers, kalman.x, kalman.P, kalman.R, self._margin)
+        if not distance <= self._gate:
             self.counters.dropouts += 1
             self.counters.ghosts += len(markers)
             return
         self.counters.ghosts += len(markers) - 1
-        surprise = _mahalanobis(innovation[nearest], spread)
         kalman.update(markers[nearest])
         track.seen_utime = utime
         track.samples.append(utime, markers[nearest])
@@ -230,10 +231,11 @@ class BallTracker:
 
     def _search(self, utime: int, markers: Array) -> None:
         """Link the far markers to those of the last frames and start a track if one was launched."""
-        if self._robot is None:
+        if not self._robot:
             self._warn_once("no robot marker was seen until frame %d; the ball cannot be told from the robot", utime)
             return
-        far = list(markers[np.linalg.norm(markers - self._robot, axis=1) > self.config.detection_distance])
+        robot = np.mean(self._robot, axis=0)
+        far = list(markers[np.linalg.norm(markers - robot, axis=1) > self.config.detection_distance])
         oldest = utime - self.config.link_time * 1e6
         if self._track is None:
             lost = [samples for samples in self._candidates if samples.utimes[-1] < oldest and not samples.full]
@@ -295,7 +297,6 @@ def made_up_flight() -> Iterator[mocap_frame_t]:
         yield frame
 
 
-def _mahalanobis(difference: Array, covariance: Array) -> Array:
-    """Return the squared Mahalanobis norm of differences, shape (..., n), under a covariance, shape (n, n)."""
-    squared: Array = np.sum(difference @ np.linalg.inv(covariance) * difference, axis=-1)
-    return squared
+def _mahalanobis(difference: Array, covariance: Array) -> float:
+    """Return the squared Mahalanobis norm of a difference, shape (n,), under a covariance, shape (n, n)."""
+    return float(difference @ np.linalg.solve(covariance, difference))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from imolo.config.model import Fraction, Model, NonNegative, Positive
-from imolo.method.hit_kernel import BallPath, Extent, Found, Swings, Underway, either_hand, most_probable
+from imolo.method.hit_kernel import BallPath, Extent, Found, Swings, Underway, most_probable, most_probable_of
 from imolo.method.motion import MotionTemplate, Theta, to_microseconds
 
 Array = NDArray[np.float64]
@@ -68,7 +68,10 @@ def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array,
         spacing: d_grid [m].
     """
     order = np.lexsort((time, theta[:, 1], theta[:, 0]))
-    theta, time, position = theta[order], np.ascontiguousarray(time[order]), np.ascontiguousarray(position[order])
+    theta = theta[order]
+    # Side by side in memory: the search looks at few tuples of many motions.
+    tuples = np.column_stack((time[order], position[order], np.zeros_like(position)))
+    time, position, velocity = tuples[:, 0], tuples[:, 1:4], tuples[:, 4:7]
     fresh = np.ones(len(theta), dtype=bool)
     fresh[1:] = (theta[1:] != theta[:-1]).any(axis=1)
     start = np.append(np.flatnonzero(fresh), len(theta)).astype(np.int64)
@@ -82,6 +85,7 @@ def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array,
     step = np.diff(k).max() if len(k) > 1 else 0.0
     opposite = np.where(np.abs(k[opposite] + k) <= 0.5 * step + 1e-9, opposite, -1)
     mirror = np.where(opposite[row] >= 0, lattice[opposite[row], column], -1)
+    velocity[:] = _velocities(time, position, start)
     return Swings(
         lattice=lattice,
         place=np.column_stack((row, column)).astype(np.int64),
@@ -90,9 +94,10 @@ def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array,
         # A grid point stands for a cell in which the hand may be anywhere.
         variance=np.ascontiguousarray(hand_std**2 + spacing**2 / 12.0),
         start=start,
+        span=np.column_stack((time[start[:-1]], time[start[1:] - 1])),
         time=time,
         position=position,
-        velocity=_velocities(time, position, start),
+        velocity=velocity,
     )
 
 
@@ -138,68 +143,61 @@ class HitChooser:
         self._low[1], self._high[1] = -mirrored, mirrored
         nowhere = BallPath(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3, 3)))
         most_probable(nowhere, _FREE, True, swings, self._extent)
-        either_hand(0, nowhere, swings, self._extent)
+        most_probable_of(np.zeros(1, dtype=np.int64), nowhere, swings, self._extent)
+
+    def reachable(self, position: Array) -> slice:
+        """Return the part of a path, shape (N, 3), outside which no hand comes near; it may be empty."""
+        inside = np.flatnonzero(((position > self._low) & (position < self._high)).all(axis=1))
+        return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else slice(0, 0)
 
     def start(self, ball: BallPath) -> ProbableHit | None:
         """Return the motion to start now; None if there is none, or a later start is likelier to hit.
 
         Args:
-            ball: Its path, with times since an onset now.
+            ball: Its path as far as it is `reachable`, with times since an onset now.
         """
-        near = self._near(ball)
-        if near is None:
-            return None
-        now = most_probable(near, _FREE, False, self._swings, self._extent)
+        now = most_probable(ball, _FREE, False, self._swings, self._extent)
         if now.motion < 0:
             return None
         if now.probability < self._config.start_probability:
             # What was worth waiting for a frame ago probably still is.
             for delay in sorted(self._config.look_ahead, key=lambda delay: abs(delay - self._awaited)):
-                later = near._replace(time=near.time - delay)
+                later = ball._replace(time=ball.time - delay)
                 if most_probable(later, _FREE, False, self._swings, self._extent).probability > now.probability:
                     self._awaited = delay
                     return None
-        return self._hit(most_probable(near, _FREE, True, self._swings, self._extent), near)
+        return self._hit(most_probable(ball, _FREE, True, self._swings, self._extent))
 
     def update(self, ball: BallPath, theta: Theta, elapsed: float) -> ProbableHit | None:
         """Return the motion to go on with; None if none that can still be commanded comes near,
         or the motion cannot be changed any more.
 
         Args:
-            ball: Its path, with times since the onset.
+            ball: Its path as far as it is `reachable`, with times since the onset.
             theta: Of the motion under way.
             elapsed: Time since its onset at which new commands can take effect [s]; negative before the onset.
         """
         switch, elapsed_us = to_microseconds(theta.t_w), to_microseconds(elapsed)
         begun = elapsed_us > to_microseconds(self._template.changed_phase_start(theta.t_w))
-        near = self._near(ball)
-        if near is None or (begun and elapsed_us > switch):
+        if begun and elapsed_us > switch:
             return None
         underway = Underway(theta.k if begun else math.nan, float(switch), float(elapsed_us))
-        best = most_probable(near, underway, True, self._swings, self._extent)
+        best = most_probable(ball, underway, True, self._swings, self._extent)
         if best.motion < 0:
             return None
         current = self._motion(theta)
         if current >= 0:
-            kept = either_hand(current, near, self._swings, self._extent)
+            kept = most_probable_of(np.array([current]), ball, self._swings, self._extent)
             if kept.probability >= best.probability:
                 best = kept
-        return self._hit(best, near)
+        return self._hit(best)
 
     def _motion(self, theta: Theta) -> int:
         same = (self._swings.theta[:, 0] == theta.k) & (self._swings.theta[:, 1] == to_microseconds(theta.t_w))
         found = np.flatnonzero(same)
         return int(found[0]) if len(found) else -1
 
-    def _near(self, ball: BallPath) -> BallPath | None:
-        """Return the part of a path that a hand could reach."""
-        inside = np.flatnonzero(((ball.position > self._low) & (ball.position < self._high)).all(axis=1))
-        if not len(inside):
-            return None
-        part = slice(inside[0], inside[-1] + 1)
-        return BallPath(*(np.ascontiguousarray(array[part]) for array in ball))
-
-    def _hit(self, found: Found, ball: BallPath) -> ProbableHit:
+    def _hit(self, found: Found) -> ProbableHit:
         k, switch = self._swings.theta[found.motion].tolist()
         position = self._swings.position[found.row] * (1.0, found.side, 1.0)
         return ProbableHit(

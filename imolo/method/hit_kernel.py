@@ -15,6 +15,7 @@ from imolo.method.table_kernel import keeps_executed_part
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Vector = tuple[float, float, float]
+Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz
 
 LEAST_CLOSING_SPEED = 0.5  # [m/s] slower, and hand and ball do not meet within a swing
 COARSE_ROWS, COARSE_COLUMNS = 10, 13  # values of k and t_w that are tried first: 28 mm sideways and 16 ms apart
@@ -33,6 +34,7 @@ class Swings(NamedTuple):
         theta: k [-], t_w [µs] of each motion, shape (T, 2).
         variance: Of the hand's position along each axis [m²], shape (T, 3).
         start: First tuple of each motion, shape (T + 1,).
+        span: Time of its first and last tuple since the onset [s], shape (T, 2).
         time: Since the onset [s], increasing within a motion, shape (M,).
         position: Of the hand [m], shape (M, 3).
         velocity: Of the hand [m/s], shape (M, 3).
@@ -44,6 +46,7 @@ class Swings(NamedTuple):
     theta: Array
     variance: Array
     start: Indices
+    span: Array
     time: Array
     position: Array
     velocity: Array
@@ -115,22 +118,20 @@ def normal_within(mean: float, std: float, low: float, high: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _variance_along(x: float, y: float, z: float, C: Array, hand: Array, velocity: Vector, timing: float) -> float:
+def _variance_along(x: float, y: float, z: float, C: Symmetric, velocity: Vector, timing: float) -> float:
     """Return the variance of the offset along the unit vector (x, y, z) [m²]."""
-    ball = C[0, 0] * x * x + C[1, 1] * y * y + C[2, 2] * z * z
-    ball += 2.0 * (C[0, 1] * x * y + C[0, 2] * x * z + C[1, 2] * y * z)
     along = velocity[0] * x + velocity[1] * y + velocity[2] * z
-    total: float = ball + hand[0] * x * x + hand[1] * y * y + hand[2] * z * z + timing * along * along
+    total: float = C[0] * x * x + C[1] * y * y + C[2] * z * z + timing * along * along
+    total += 2.0 * (C[3] * x * y + C[4] * x * z + C[5] * y * z)
     return max(total, _TINY)
 
 
 @njit(cache=True, inline="always")
 def meeting_probability(
     offset: Vector,
-    ball_velocity: Array,
+    ball_velocity: Vector,
     hand_velocity: Vector,
-    ball_covariance: Array,
-    hand_variance: Array,
+    covariance: Symmetric,
     until_first: float,
     until_last: float,
     extent: Extent,
@@ -139,10 +140,9 @@ def meeting_probability(
 
     Args:
         offset: Ball minus hand at one moment [m].
-        ball_velocity: [m/s], shape (3,).
+        ball_velocity: [m/s].
         hand_velocity: [m/s].
-        ball_covariance: Of the ball's position [m²], shape (3, 3).
-        hand_variance: Of the hand's position along each axis [m²], shape (3,).
+        covariance: Of the offset [m²].
         until_first: Begin of the swing after that moment [s]; negative if before it.
         until_last: End of the swing after that moment [s].
         extent: Of plate and ball.
@@ -154,21 +154,21 @@ def meeting_probability(
     level = math.hypot(wx, wy)
     if closing < LEAST_CLOSING_SPEED or level < _LEVEL * closing:
         return 0.0
-    C, hand, timing, reach = ball_covariance, hand_variance, extent.timing_variance, extent.reach
+    timing, reach = extent.timing_variance, extent.reach
     # n is where the ball comes from as the hand sees it, a horizontal, b = n × a.
     nx, ny, nz = wx / closing, wy / closing, wz / closing
     ax, ay = -wy / level, wx / level
     a = offset[0] * ax + offset[1] * ay
-    std_a = math.sqrt(_variance_along(ax, ay, 0.0, C, hand, hand_velocity, timing))
+    std_a = math.sqrt(_variance_along(ax, ay, 0.0, covariance, hand_velocity, timing))
     if abs(a) > reach + _FAR * std_a:
         return 0.0
     bx, by, bz = -nz * ay, nz * ax, nx * ay - ny * ax
     b = offset[0] * bx + offset[1] * by + offset[2] * bz
-    std_b = math.sqrt(_variance_along(bx, by, bz, C, hand, hand_velocity, timing))
+    std_b = math.sqrt(_variance_along(bx, by, bz, covariance, hand_velocity, timing))
     if abs(b) > reach + _FAR * std_b:
         return 0.0
     n = offset[0] * nx + offset[1] * ny + offset[2] * nz
-    std_n = math.sqrt(_variance_along(nx, ny, nz, C, hand, hand_velocity, timing))
+    std_n = math.sqrt(_variance_along(nx, ny, nz, covariance, hand_velocity, timing))
     probability: float = (
         normal_within(a, std_a, -reach, reach)
         * normal_within(b, std_b, -reach, reach)
@@ -177,61 +177,74 @@ def meeting_probability(
     return probability
 
 
-@njit(cache=True, inline="always")
-def _one_hand(motion: int, side: float, ball: BallPath, swings: Swings, extent: Extent) -> tuple[float, int, int]:
-    """Return how likely a motion's hand meets the ball, and the point of the path and the tuple nearest to it.
-
-    `side` mirrors the hand: 1.0 for the one that was learned, -1.0 for the other.
-    """
-    first, last = swings.start[motion], swings.start[motion + 1]
-    begin, end = swings.time[first], swings.time[last - 1]
-    gap = extent.time_gap
-    nearest, nearest_point, nearest_row = extent.farthest**2, -1, -1
-    offset = (0.0, 0.0, 0.0)
-    row = first
-    for point in range(np.searchsorted(ball.time, begin - gap), len(ball.time)):
-        when = ball.time[point]
-        if when > end + gap:
-            break
-        while row + 1 < last and abs(swings.time[row + 1] - when) <= abs(swings.time[row] - when):
-            row += 1
-        late = when - swings.time[row]
-        if abs(late) > gap:
-            continue
-        x = ball.position[point, 0] - swings.position[row, 0] - late * swings.velocity[row, 0]
-        y = ball.position[point, 1] - side * (swings.position[row, 1] + late * swings.velocity[row, 1])
-        z = ball.position[point, 2] - swings.position[row, 2] - late * swings.velocity[row, 2]
-        distance = x * x + y * y + z * z
-        if distance < nearest:
-            nearest, nearest_point, nearest_row, offset = distance, point, row, (x, y, z)
-    if nearest_row < 0:
-        return 0.0, -1, -1
-    velocity = swings.velocity[nearest_row]
-    p = meeting_probability(
-        offset,
-        ball.velocity[nearest_point],
-        (velocity[0], side * velocity[1], velocity[2]),
-        ball.covariance[nearest_point],
-        swings.variance[motion],
-        begin - ball.time[nearest_point],
-        end - ball.time[nearest_point],
-        extent,
-    )
-    return p, nearest_point, nearest_row
-
-
 @njit(cache=True)
-def either_hand(motion: int, ball: BallPath, swings: Swings, extent: Extent) -> Found:
-    """Return how likely a given motion meets the ball with one of its hands."""
-    p, point, row = _one_hand(motion, 1.0, ball, swings, extent)
-    side, other = 1, swings.mirror[motion]
-    if other >= 0:
-        q, other_point, other_row = _one_hand(other, -1.0, ball, swings, extent)
-        if q > p:
-            point, row, side = other_point, other_row, -1
-        # The plates are farther apart than a ball is wide, so that it meets one at most.
-        p = min(1.0, p + q)
-    return Found(p, motion, point, row, side)
+def most_probable_of(motions: Indices, ball: BallPath, swings: Swings, extent: Extent) -> Found:
+    """Return which of some motions most probably meets the ball, with either of its hands."""
+    best = Found(0.0, -1, -1, -1, 1)
+    # Once for all: to take an array out of a tuple costs as much as to look at a motion.
+    when, ball_position, ball_velocity, ball_covariance = ball
+    mirror, start, span, variance = swings.mirror, swings.start, swings.span, swings.variance
+    time, position, velocity = swings.time, swings.position, swings.velocity
+    gap = extent.time_gap
+    for motion in motions:
+        total = likelier = 0.0
+        likelier_point, likelier_row, likelier_side = -1, -1, 1
+        for side in (1, -1):
+            swing = motion if side == 1 else mirror[motion]
+            if swing < 0:
+                continue
+            # Where hand and ball are nearest to each other.
+            first, last = start[swing], start[swing + 1] - 1
+            begin, end = span[swing, 0], span[swing, 1]
+            rate = (last - first) / max(end - begin, gap)
+            nearest, point, row = extent.farthest**2, -1, -1
+            offset = (0.0, 0.0, 0.0)
+            for i in range(len(when)):
+                if when[i] < begin - gap:
+                    continue
+                if when[i] > end + gap:
+                    break
+                # The tuple nearest in time, from about where it must be.
+                j = min(max(first + int((when[i] - begin) * rate), first), last)
+                while j > first and abs(time[j - 1] - when[i]) < abs(time[j] - when[i]):
+                    j -= 1
+                while j < last and abs(time[j + 1] - when[i]) <= abs(time[j] - when[i]):
+                    j += 1
+                late = when[i] - time[j]
+                if abs(late) > gap:
+                    continue
+                x = ball_position[i, 0] - position[j, 0] - late * velocity[j, 0]
+                y = ball_position[i, 1] - side * (position[j, 1] + late * velocity[j, 1])
+                z = ball_position[i, 2] - position[j, 2] - late * velocity[j, 2]
+                distance = x * x + y * y + z * z
+                if distance < nearest:
+                    nearest, point, row, offset = distance, i, j, (x, y, z)
+            if row < 0:
+                continue
+            probability = meeting_probability(
+                offset,
+                (ball_velocity[point, 0], ball_velocity[point, 1], ball_velocity[point, 2]),
+                (velocity[row, 0], side * velocity[row, 1], velocity[row, 2]),
+                (
+                    ball_covariance[point, 0, 0] + variance[swing, 0],
+                    ball_covariance[point, 1, 1] + variance[swing, 1],
+                    ball_covariance[point, 2, 2] + variance[swing, 2],
+                    ball_covariance[point, 0, 1],
+                    ball_covariance[point, 0, 2],
+                    ball_covariance[point, 1, 2],
+                ),
+                begin - when[point],
+                end - when[point],
+                extent,
+            )
+            # The plates are farther apart than a ball is wide, so that it meets one at most.
+            total += probability
+            if likelier_row < 0 or probability > likelier:
+                likelier, likelier_point, likelier_row, likelier_side = probability, point, row, side
+        total = min(1.0, total)
+        if total > best.probability:
+            best = Found(total, motion, likelier_point, likelier_row, likelier_side)
+    return best
 
 
 @njit(cache=True)
@@ -252,7 +265,9 @@ def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swin
         step_k = step_w = 1  # few motions still fit
     first_k, last_k, first_w, last_w = 0, count_k, 0, count_w
     finest = 1 if refine else max(1, max(step_k, step_w) // 2)
+    motions = np.empty(swings.lattice.size, dtype=np.int64)
     while True:
+        count = 0
         for i in range(first_k, last_k, step_k):
             for j in range(first_w, last_w, step_w):
                 motion = swings.lattice[i, j]
@@ -264,9 +279,11 @@ def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swin
                     underway.elapsed_us,
                 ):
                     continue
-                found = either_hand(motion, ball, swings, extent)
-                if found.probability > best.probability:
-                    best = found
+                motions[count] = motion
+                count += 1
+        found = most_probable_of(motions[:count], ball, swings, extent)
+        if found.probability > best.probability:
+            best = found
         if best.motion < 0 or max(step_k, step_w) <= finest:
             return best
         # Neighbours of the best, half as far apart.

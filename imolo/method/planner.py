@@ -149,14 +149,13 @@ class Planner:
         path = np.empty((0, 3))
         state = PlanState.WAITING
         if estimate is not None and estimate.in_flight:
-            self._bus.publish(channels.BALL_STATE, estimate.to_message())
             self._detected = min(self._detected, frame.utime)
             states = self._ball_model.predict(estimate.state, self._steps)
             path = states[:, :3]
             state = self._decide(frame.utime, estimate, states)
         elif self._decision is not None:
             state = PlanState.KEPT
-        self._publish(frame, path, state)
+        self._publish(frame, estimate, path, state)
 
     def _decide(self, utime: int, estimate: BallEstimate, states: Array) -> PlanState:
         """Start or update a motion if the table holds one for the predicted states; return the state of the plan."""
@@ -198,8 +197,12 @@ class Planner:
         onset: int,
         executed: Executed | None,
     ) -> Decision | None:
-        covariance = self._ball_model.position_covariance(estimate.state, estimate.covariance, self._steps)
-        ball = BallPath(times, states[:, :3], states[:, 3:6], covariance)
+        near = chooser.reachable(states[:, :3])
+        if not near.stop:
+            return None
+        covariance = self._ball_model.position_covariance(estimate.state, estimate.covariance, near.stop)[near]
+        position, velocity = states[near, :3].copy(), states[near, 3:6].copy()
+        ball = BallPath(times[near], position, velocity, covariance)
         found = chooser.start(ball) if executed is None else chooser.update(ball, *executed)
         if found is None:
             return None
@@ -207,7 +210,14 @@ class Planner:
         hit_utime = onset + to_microseconds(found.time)
         return Decision(found.theta, commands, found.position, hit_utime, found.probability, found.side)
 
-    def _publish(self, frame: mocap_frame_t, path: Array, state: PlanState) -> None:
+    def _publish(self, frame: mocap_frame_t, estimate: BallEstimate | None, path: Array, state: PlanState) -> None:
+        """Say what was decided: the command first, which the robot waits for, then the reasons."""
+        decision = self._decision
+        if decision is not None:
+            self._sequence += 1
+            self._bus.publish(channels.VALVE_COMMAND, decision.commands.to_message(frame.utime, self._sequence))
+        if estimate is not None and estimate.in_flight:
+            self._bus.publish(channels.BALL_STATE, estimate.to_message())
         plan = plan_t()
         plan.utime = frame.utime
         plan.answered_frame = frame.frame_number
@@ -216,10 +226,7 @@ class Planner:
         plan.num_predictions = len(path)
         plan.predicted_position = path.tolist()
         plan.hit_probability = NOT_KNOWN
-        decision = self._decision
         if decision is not None:
-            self._sequence += 1
-            self._bus.publish(channels.VALVE_COMMAND, decision.commands.to_message(frame.utime, self._sequence))
             plan.theta = list(decision.theta)
             plan.plan_onset_utime = decision.commands.onset_utime
             plan.hit_utime = decision.hit_utime

@@ -29,7 +29,9 @@ def probability(offset: Array, covariance: Array, before: float = -1.0, after: f
 
 def met(offset: Array, ball_velocity: Array, covariance: Array, before: float, after: float) -> float:
     extent = Extent(reach=REACH, timing_variance=0.0, time_gap=STEP, farthest=1.0)
-    p = meeting_probability(tuple(offset), ball_velocity, tuple(HAND), covariance, np.zeros(3), before, after, extent)
+    C = covariance
+    symmetric = (C[0, 0], C[1, 1], C[2, 2], C[0, 1], C[0, 2], C[1, 2])
+    p = meeting_probability(tuple(offset), tuple(ball_velocity), tuple(HAND), symmetric, before, after, extent)
     return float(p)
 
 
