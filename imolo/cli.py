@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from imolo.errors import ConfigError, ImoloError, did_you_mean
 from imolo.inspect import commands as inspect_commands
 from imolo.live import commands as live_commands
+from imolo.terminal import ProgressBars, complain, console, say
 
 # The commands import what they need themselves: scikit-learn, numba and matplotlib take seconds, `--help` must not.
 if TYPE_CHECKING:
@@ -35,8 +34,6 @@ app.add_typer(live_commands.app)
 app.add_typer(inspect_commands.app)
 for _installed in entry_points(group="imolo.commands"):
     app.add_typer(_installed.load())
-console = Console()
-errors = Console(stderr=True)
 
 ConfigPaths = Annotated[
     list[Path] | None,
@@ -107,7 +104,7 @@ def check(
         pages.refuse_partial(chosen, only or ())
     done = {suite.label: 0 for suite in chosen}
     total = {suite.label: len(suite.select(only or ())) for suite in chosen}
-    with _Bars(lambda: f"{sum(done.values())} of {sum(total.values())} scenes were done") as bars:
+    with ProgressBars(lambda: f"{sum(done.values())} of {sum(total.values())} scenes were done") as bars:
 
         def count(label: str) -> None:
             done[label] += 1
@@ -144,7 +141,7 @@ def compare(
 
     chosen = [_override(config, seed, balls, scheduler) for config in _load_all(configs)]
     folder = _results(out, fresh)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
     console.print(summary.render_comparison(result, timings.timing))
     figures.draw_all(result, chosen, folder)
@@ -173,7 +170,7 @@ def learn(
         training = chosen.training.model_copy(update={"motions": spread_motions(chosen, motions)})
         chosen = chosen.model_copy(update={"training": training})
     folder = _results(out, fresh)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
     for method in chosen.methods:
         console.print(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
@@ -205,7 +202,7 @@ def hit(
     folder = _results(out, fresh)
     folder.prepare()
     name = chosen.backend.name
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_config(chosen)
     folder.save_json("summary.json", results[name][method])
@@ -246,7 +243,7 @@ def ball(
     )
     folder = _results(out, fresh)
     folder.prepare()
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         if data is not None:
             result = study.rate_recorded(data, jobs, bars.show)
         elif config is not None:
@@ -280,7 +277,7 @@ def interpolation(
     numbers = interpolation_report.parse_trials(trials)
     chosen = [_override(config, seed, None, scheduler) for config in _load_all(configs)]
     folder = _results(out, fresh)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
     console.print(interpolation_report.render_study(result))
     folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
@@ -307,7 +304,7 @@ def transfer(
 
     chosen = [_override(config, seed, balls, scheduler) for config in _load_all(configs)]
     folder = _results(out, fresh)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
     console.print(transfer_report.render_transfer(result))
     folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
@@ -338,7 +335,7 @@ def trials(
     chosen = [_override(config, seed, None, scheduler) for config in _load_all(configs)]
     folder = _results(out, fresh)
     sizes = study.Sizes(dense=motions, candidates=candidates, tests=tests)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
     console.print(sample_efficiency_report.render_study(result))
     folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
@@ -370,7 +367,7 @@ def attribute(
         _override(_named_or_file(second, motions), None, None, scheduler),
     )
     folder = _results(out, fresh)
-    with _Bars(_kept_in(out)) as bars:
+    with ProgressBars(_kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     console.print(summary.render_attribution(answer))
     path = folder.save_figure("waterfall.png", figures.draw_waterfall(answer))
@@ -390,40 +387,11 @@ def report(
     """
     from imolo.report.page import write_report
 
-    with _Bars(lambda: "no page was written") as bars:
+    with ProgressBars(lambda: "no page was written") as bars:
         written = write_report(results, out or results / "report.html", bars.show)
     if written.missing:
-        _complain(f"{len(written.missing)} logs are missing, first {written.missing[0]}; their trials have no replay")
-    console.print(
-        f"the page is {written.path} ({written.size / 1e6:.1f} MB)", highlight=False, markup=False, soft_wrap=True
-    )
-
-
-class _Bars:
-    """Progress bars, one for each thing under way; Ctrl-C ends in one line that says how far things were."""
-
-    def __init__(self, state: Callable[[], str]) -> None:
-        self._state = state
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console
-        )
-        self._tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> "_Bars":
-        self._progress.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._progress.stop()
-        if kind is KeyboardInterrupt:
-            _complain(f"interrupted; {self._state()}")
-            raise typer.Exit(130)
-
-    def show(self, what: str, done: int, total: int) -> None:
-        """Show how far something is."""
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done)
+        complain(f"{len(written.missing)} logs are missing, first {written.missing[0]}; their trials have no replay")
+    say(f"the page is {written.path} ({written.size / 1e6:.1f} MB)")
 
 
 def _kept_in(out: Path) -> Callable[[], str]:
@@ -482,17 +450,13 @@ def _results(out: Path, fresh: bool) -> "ResultsFolder":
     return folder
 
 
-def _complain(message: str) -> None:
-    errors.print(f"imolo: {message}", highlight=False, markup=False, soft_wrap=True)
-
-
 def main() -> None:
     """Run the command line; every error of ours ends in one line."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
         app()
     except ImoloError as error:
-        _complain(str(error))
+        complain(str(error))
         sys.exit(2)
 
 
