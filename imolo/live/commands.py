@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imolo.command_options import ConfigPath, Method
+
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig
     from imolo.live.identity import ClockMode
@@ -13,14 +15,12 @@ app = typer.Typer()
 
 URL = "udpm://239.255.76.67:7667?ttl=0"  # LCM's own group and port; ttl=0 stays on this machine
 
-ConfigPath = Annotated[Path, typer.Argument(help="YAML of the backend and everything around it, see configs/.")]
 BusUrl = Annotated[str | None, typer.Option("--bus", help=f"LCM URL [default: the config's if udpm://, else {URL}].")]
 PlainBusUrl = Annotated[str, typer.Option("--bus", help="LCM URL.")]
 Clock = Annotated[str, typer.Option(help="lockstep: repeats to the byte; realtime: paced by the clock on the wall.")]
 TablePath = Annotated[
     Path | None, typer.Option("--table", help="Table of `imolo learn` [default: that of `make demo`].")
 ]
-Method = Annotated[str, typer.Option(help="Method of the config whose planner is used.")]
 Count = Annotated[int, typer.Argument(min=1, help="Number of balls.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True, help="End when the parent has ended.")]
 
