@@ -7,13 +7,13 @@ import typer
 
 from imolo.errors import ConfigError, did_you_mean
 from imolo.terminal import INTERRUPTED, console, say
+from imolo.udpm import LOCAL_URL
 
 if TYPE_CHECKING:
     from imolo.inspect.diff import RunComparison
 
 app = typer.Typer()
 
-URL = "udpm://239.255.76.67:7667?ttl=0"
 DIFFERENT = 1  # exit code where two runs are not the same, as of diff
 
 OneLog = Annotated[Path, typer.Argument(metavar="LOG", help="A .lcmlog.")]
@@ -24,7 +24,7 @@ Url = Annotated[str, typer.Option(help="LCM URL of the bus.")]
 @app.command()
 def spy(
     log: MaybeLog = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     speed: Annotated[float, typer.Option(help="How fast the log is played.")] = 1.0,
 ) -> None:
     """Open lcm-spy with our types decoded; needs Java."""
@@ -36,7 +36,7 @@ def spy(
 @app.command()
 def top(
     log: MaybeLog = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     seconds: Annotated[float | None, typer.Option(help="End after this long.", show_default="Ctrl-C")] = None,
 ) -> None:
     """Show the channels with rate, age, jitter, missing messages and last values."""
@@ -155,7 +155,7 @@ def view(
         list[Path] | None, typer.Argument(metavar="[LOG]...", help="Logs to show over each other, such as of engines.")
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write one file that plays offline, and end.")] = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page, on this machine only.")] = 8080,
     speed: Annotated[float, typer.Option(min=0.01, help="How fast logs are played.")] = 0.25,
     robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
