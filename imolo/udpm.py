@@ -8,6 +8,7 @@ from imolo.errors import BusError, did_you_mean
 
 SCHEME = "udpm://"
 DEFAULT = "239.255.76.67:7667"  # of LCM
+LOCAL_URL = f"{SCHEME}{DEFAULT}?ttl=0"  # ttl=0 stays on this machine
 SETTINGS = {"ttl": (0, 255), "recv_buf_size": (1, 2**31 - 1), "transmit_only": (0, 1)}
 # Linux grants at most net.core.rmem_max, by default 200 kB to 4 MB; with 4 MB a burst of 20,000 messages arrives.
 RECEIVE_BUFFER = 4_000_000  # [bytes]

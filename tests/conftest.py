@@ -20,6 +20,8 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
     """Run `imolo` in this process and in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", str(columns))
+    # `python -m pytest` would be part of the program's name in its help.
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", "")
 
     def run_it(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["imolo", *map(str, arguments)])

@@ -10,6 +10,7 @@ declared and measures badly, so that the declarations stay true.
 * `report`: the outcomes in the terminal.
 * `page`: the capability page, docs/engines.md, and its machine-readable counterpart.
 * `testing`: the checks as tests of pytest.
+* `commands`: `imolo check`.
 """
 
 from imolo.conformance.check import Check, Limitation, Measurement, Outcome, Verdict, run_check

@@ -1,21 +1,19 @@
-"""The commands that look at what is or was on the bus."""
+"""The commands that look at a bus or a log; each imports what it needs itself, so that `--help` stays quick."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from imolo.errors import ConfigError, did_you_mean
+from imolo.terminal import INTERRUPTED, console, say
+from imolo.udpm import LOCAL_URL
 
-# As in imolo.cli, the commands import what they need themselves.
 if TYPE_CHECKING:
     from imolo.inspect.diff import RunComparison
 
 app = typer.Typer()
-console = Console()
 
-URL = "udpm://239.255.76.67:7667?ttl=0"
 DIFFERENT = 1  # exit code where two runs are not the same, as of diff
 
 OneLog = Annotated[Path, typer.Argument(metavar="LOG", help="A .lcmlog.")]
@@ -26,7 +24,7 @@ Url = Annotated[str, typer.Option(help="LCM URL of the bus.")]
 @app.command()
 def spy(
     log: MaybeLog = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     speed: Annotated[float, typer.Option(help="How fast the log is played.")] = 1.0,
 ) -> None:
     """Open lcm-spy with our types decoded; needs Java."""
@@ -38,7 +36,7 @@ def spy(
 @app.command()
 def top(
     log: MaybeLog = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     seconds: Annotated[float | None, typer.Option(help="End after this long.", show_default="Ctrl-C")] = None,
 ) -> None:
     """Show the channels with rate, age, jitter, missing messages and last values."""
@@ -50,7 +48,7 @@ def top(
     try:
         watch(url, console, seconds)
     except KeyboardInterrupt:
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
 
 
 @app.command()
@@ -72,7 +70,7 @@ def replay(
     total = sum(channel.counts[0] for channel in result.channels)
     _print_channels(result, "recorded", "replayed")
     if result.first is not None:
-        console.print(f"the planner parts from the log: {result.first}", highlight=False, markup=False, soft_wrap=True)
+        say(f"the planner parts from the log: {result.first}")
         raise typer.Exit(DIFFERENT)
     console.print(f"the planner says the same: {total} messages, byte by byte", highlight=False)
 
@@ -92,7 +90,7 @@ def diff(
     result = compare_logs(first, second)
     _print_channels(result, "first", "second")
     if result.first is not None:
-        console.print(f"they part at {result.first}", highlight=False, markup=False, soft_wrap=True)
+        say(f"they part at {result.first}")
     elif not result.same_recording:
         console.print("the messages are the same, but not their order or the times at which they were recorded")
     else:
@@ -103,7 +101,7 @@ def diff(
         from imolo.log import read_log
 
         save_figure(draw_divergence(read_log(first), read_log(second), result.first), out)
-        console.print(f"the figure is {out}", highlight=False, markup=False, soft_wrap=True)
+        say(f"the figure is {out}")
     if result.first is not None or not result.same_recording:
         raise typer.Exit(DIFFERENT)
 
@@ -125,7 +123,7 @@ def export(
     if to not in known:
         raise ConfigError(f"unknown format {to!r}{did_you_mean(to, known)}; known: {', '.join(known)}")
     for path in write(read_log(log), ExportFormat(to), out):
-        console.print(str(path), highlight=False, markup=False, soft_wrap=True)
+        say(str(path))
 
 
 @app.command()
@@ -148,7 +146,7 @@ def plot(
         show_figure(figure)
     else:
         save_figure(figure, out)
-        console.print(f"the figure is {out}", highlight=False, markup=False, soft_wrap=True)
+        say(f"the figure is {out}")
 
 
 @app.command()
@@ -157,7 +155,7 @@ def view(
         list[Path] | None, typer.Argument(metavar="[LOG]...", help="Logs to show over each other, such as of engines.")
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write one file that plays offline, and end.")] = None,
-    url: Url = URL,
+    url: Url = LOCAL_URL,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page, on this machine only.")] = 8080,
     speed: Annotated[float, typer.Option(min=0.01, help="How fast logs are played.")] = 0.25,
     robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
@@ -173,7 +171,7 @@ def view(
     from imolo.view.sessions import recorded_sessions
 
     def tell(address: str) -> None:
-        console.print(f"open {address} (Ctrl-C ends)", highlight=False, soft_wrap=True)
+        say(f"open {address} (Ctrl-C ends)")
 
     if html is not None and not logs:
         raise ConfigError("--html needs logs to write; a running session can only be watched")
@@ -186,9 +184,9 @@ def view(
             viewer.serve(sessions, port, speed, tell)
         else:
             viewer.write_html(sessions, html, speed)
-            console.print(f"the view is {html}", highlight=False, markup=False, soft_wrap=True)
+            say(f"the view is {html}")
     except KeyboardInterrupt:
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _print_channels(result: "RunComparison", first: str, second: str) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from imolo.errors import BusError, MissingToolError
 from imolo.inspect.types_jar import lcm_tool, require_java, types_jar
 
-DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 PLAY_DELAY = 1.0  # [s] until a log starts to play, so that its first messages are seen
 
 

@@ -5,22 +5,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imolo.command_options import ConfigPath, Method
+from imolo.udpm import LOCAL_URL
+
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig
     from imolo.live.identity import ClockMode
 
 app = typer.Typer()
 
-URL = "udpm://239.255.76.67:7667?ttl=0"  # LCM's own group and port; ttl=0 stays on this machine
-
-ConfigPath = Annotated[Path, typer.Argument(help="YAML of the backend and everything around it, see configs/.")]
-BusUrl = Annotated[str | None, typer.Option("--bus", help=f"LCM URL [default: the config's if udpm://, else {URL}].")]
+BusUrl = Annotated[
+    str | None, typer.Option("--bus", help=f"LCM URL [default: the config's if udpm://, else {LOCAL_URL}].")
+]
 PlainBusUrl = Annotated[str, typer.Option("--bus", help="LCM URL.")]
 Clock = Annotated[str, typer.Option(help="lockstep: repeats to the byte; realtime: paced by the clock on the wall.")]
 TablePath = Annotated[
     Path | None, typer.Option("--table", help="Table of `imolo learn` [default: that of `make demo`].")
 ]
-Method = Annotated[str, typer.Option(help="Method of the config whose planner is used.")]
 Count = Annotated[int, typer.Argument(min=1, help="Number of balls.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True, help="End when the parent has ended.")]
 
@@ -64,7 +65,7 @@ def record(
     out: Annotated[Path, typer.Option(help="Log to write; an older one is never replaced.")] = Path(
         "results/live/session.lcmlog"
     ),
-    bus: PlainBusUrl = URL,
+    bus: PlainBusUrl = LOCAL_URL,
     with_parent: WithParent = False,
 ) -> None:
     """Record every message of a session to a log that lcm-logplayer can play."""
@@ -76,7 +77,7 @@ def record(
 
 
 @app.command()
-def throw(count: Count = 1, bus: PlainBusUrl = URL) -> None:
+def throw(count: Count = 1, bus: PlainBusUrl = LOCAL_URL) -> None:
     """Ask the backend for balls, and tell how each of them ended."""
     from imolo.live.program import Console, until_stopped
     from imolo.live.throw_program import run_throw
@@ -122,7 +123,7 @@ def _load(path: Path) -> "ExperimentConfig":
 def _url(given: str | None, config: "ExperimentConfig") -> str:
     if given is not None:
         return given
-    return URL if config.bus.startswith("memq:") else config.bus
+    return LOCAL_URL if config.bus.startswith("memq:") else config.bus
 
 
 def _clock(name: str) -> "ClockMode":

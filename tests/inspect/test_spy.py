@@ -17,6 +17,7 @@ from imolo.errors import MissingToolError
 from imolo.inspect import spy, types_jar
 from imolo.inspect.definitions import definition_files
 from imolo.log_file import read_events
+from imolo.udpm import LOCAL_URL
 
 JAVA_SOURCE = Path(__file__).with_name("DecodeLog.java")
 
@@ -70,7 +71,7 @@ class TestWithJava:
 
     @pytest.mark.parametrize("mark", [pytest.param(None, marks=needs("display"))], ids=["screen"])
     def test_window_opens_on_a_log(self, recorded: Recorded, jar: Path, mark: None, tmp_path: Path) -> None:
-        command, environment = spy.spy_command(spy.DEFAULT_URL, recorded.first, 1.0)
+        command, environment = spy.spy_command(LOCAL_URL, recorded.first, 1.0)
         read, write = os.pipe()
         screen = subprocess.Popen(["Xvfb", "-displayfd", str(write)], pass_fds=[write], stderr=subprocess.DEVNULL)
         os.close(write)

@@ -1,0 +1,71 @@
+"""`imolo backends` lists what is installed, and what is missing is told with the way to get it."""
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from command_line import Run, is_one_line_about
+from requirements import BACKENDS
+
+from imolo import registry
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
+    code, output, errors = run("backends")
+    assert (code, errors) == (0, "")
+    assert re.search(rf"^{name} +ready +\S", output, flags=re.MULTILINE)
+
+
+@pytest.fixture
+def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make Python find no PyBullet, as where the extra was not installed."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    monkeypatch.delitem(sys.modules, "imolo_backends.pybullet_engine", raising=False)
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> None:
+    Path("experiment.yaml").write_text("backend: {name: pybullet}\n", encoding="utf-8")
+    code, _, errors = run("compare", "experiment.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "backend 'pybullet' cannot be used", "pip install 'imolo[pybullet]'")
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_missing_extra_leaves_the_other_backends_ready() -> None:
+    status = {name: registry.backend_status(name) for name in ("dart", "mujoco", "pybullet")}
+    assert status["pybullet"].plugin is None
+    assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
+    assert (status["mujoco"].problem, status["dart"].problem) == ("", "")
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_backends_says_that_an_engine_is_missing(run: Run) -> None:
+    code, output, _ = run("backends")
+    assert code == 0
+    assert re.search(r"^pybullet +missing ", output, flags=re.MULTILINE)
+    assert re.search(r"^mujoco +ready ", output, flags=re.MULTILINE)
+
+
+@pytest.mark.usefixtures("without_pybullet")
+def test_backends_says_how_to_get_a_missing_engine(run: Run) -> None:
+    _, output, _ = run("backends")
+    assert "pip install 'imolo[pybullet]'" in " ".join(output.split())
+
+
+@pytest.mark.parametrize("wrong", [None, ModuleType("ode")], ids=["none", "another package of this name"])
+def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
+    run: Run, monkeypatch: pytest.MonkeyPatch, wrong: ModuleType | None
+) -> None:
+    monkeypatch.setitem(sys.modules, "ode", wrong)
+    for module in ("ode_engine", "ode_model"):
+        monkeypatch.delitem(sys.modules, f"imolo_backends.{module}", raising=False)
+    Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
+    code, _, errors = run("compare", "experiment.yaml")
+    assert code == 2
+    assert is_one_line_about(errors, "backend 'ode' cannot be used", "make ode")
+    # PyPI has another package of this name.
+    assert "pip install" not in errors
