@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from imolo.command_options import CORES, Jobs
-from imolo.terminal import ProgressBars, console
+from imolo.terminal import ProgressBars, console, say
 
 app = typer.Typer()
 
@@ -57,9 +57,9 @@ def check(
     console.print(render_report(records))
     if json is not None:
         save_records(json, records)
-        console.print(f"numbers are in {json}")
+        say(f"numbers are in {json}")
     if page is not None:
         pages.write_page(page, records)
-        console.print(f"the page is {page}")
+        say(f"the page is {page}")
     if any(one.count(Verdict.FAIL) for one in records):
         raise typer.Exit(1)

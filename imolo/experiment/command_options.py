@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imolo.terminal import console
+from imolo.terminal import say
 
 # Imported by what needs it, so that `--help` stays quick.
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def open_results(out: Path, fresh: bool) -> "ResultsFolder":
     if fresh:
         folder.discard_trials()
     elif there := folder.trials():
-        console.print(f"{there} trials are in {out} already and will not be run again")
+        say(f"{there} trials are in {out} already and will not be run again")
     return folder
 
 

@@ -20,7 +20,7 @@ from imolo.experiment.command_options import (
     open_results,
     override,
 )
-from imolo.terminal import ProgressBars, console
+from imolo.terminal import ProgressBars, console, say
 
 app = typer.Typer()
 app.add_typer(study_commands.app)
@@ -48,7 +48,7 @@ def compare(
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
     console.print(summary.render_comparison(result, timings.timing))
     figures.draw_all(result, chosen, folder)
-    console.print(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
+    say(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
 
 
 @app.command()
@@ -76,7 +76,7 @@ def learn(
     with ProgressBars(kept_in(out)) as bars:
         comparison.learn([chosen], folder, jobs, bars.show)
     for method in chosen.methods:
-        console.print(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
+        say(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
 
 
 @app.command()
@@ -111,4 +111,4 @@ def hit(
     folder.save_json("summary.json", results[name][method])
     console.print(summary.render_results(results, timing))
     console.print(summary.render_causes(results))
-    console.print(f"logs, config and summary.json are in {out}")
+    say(f"logs, config and summary.json are in {out}")

@@ -19,7 +19,7 @@ from imolo.experiment.command_options import (
     open_results,
     override,
 )
-from imolo.terminal import ProgressBars, console
+from imolo.terminal import ProgressBars, console, say
 
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig
@@ -68,7 +68,7 @@ def ball(
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
     ball_report.draw_evaluation(result, out / "ball.png")
-    console.print(f"ball.json and ball.png are in {out}")
+    say(f"ball.json and ball.png are in {out}")
 
 
 @app.command()
@@ -97,7 +97,7 @@ def interpolation(
         result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
     console.print(interpolation_report.render_study(result))
     folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
-    console.print(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
+    say(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
 @app.command()
@@ -124,7 +124,7 @@ def transfer(
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
     console.print(transfer_report.render_transfer(result))
     folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
-    console.print(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
+    say(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
 
 
 @app.command()
@@ -155,7 +155,7 @@ def trials(
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
     console.print(sample_efficiency_report.render_study(result))
     folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
-    console.print(f"logs, configs, trials.json and figures/trials.png are in {out}")
+    say(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
 @app.command()
@@ -187,7 +187,7 @@ def attribute(
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     console.print(summary.render_attribution(answer))
     path = folder.save_figure("waterfall.png", figures.draw_waterfall(answer))
-    console.print(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
+    say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 
 def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":

@@ -72,7 +72,7 @@ def replay(
     if result.first is not None:
         say(f"the planner parts from the log: {result.first}")
         raise typer.Exit(DIFFERENT)
-    console.print(f"the planner says the same: {total} messages, byte by byte", highlight=False)
+    say(f"the planner says the same: {total} messages, byte by byte")
 
 
 @app.command()

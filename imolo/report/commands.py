@@ -12,7 +12,7 @@ app = typer.Typer()
 
 @app.command()
 def report(
-    results: Annotated[Path, typer.Argument(help="Folder that compare, hit, ball or attribute wrote.")],
+    results: Annotated[Path, typer.Argument(help="Folder that compare, hit or a study wrote.")],
     out: Annotated[
         Path | None, typer.Option(help="Page to write.", show_default="report.html in the results folder")
     ] = None,
