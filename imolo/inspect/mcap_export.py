@@ -21,6 +21,7 @@ Json = dict[str, Any]
 WORLD = "world"
 LIFETIME = 0.2  # [s] after which what was not seen again goes away
 JSON_TYPES = {"string": "string", "float": "number", "double": "number", "boolean": "boolean"}
+SHAPES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 BALL_COLOR, MARKER_COLOR, TARGET_COLOR, PATH_COLOR = (0.9, 0.2, 0.1), (0.3, 0.5, 0.9), (0.1, 0.7, 0.3), (0.9, 0.6, 0.1)
 
 
@@ -111,7 +112,8 @@ def _color(color: Sequence[float], opacity: float = 1.0) -> Json:
 def _entity(utime: int, identity: str, **shapes: list[Json]) -> Json:
     lifetime = {"sec": 0, "nsec": round(LIFETIME * 1e9)}
     header = {"timestamp": _stamp(utime), "frame_id": WORLD, "id": identity, "lifetime": lifetime}
-    return {**header, "frame_locked": False, **shapes}
+    # Foxglove's schema requires every list, be it empty.
+    return {**header, "frame_locked": False, "metadata": [], **{name: [] for name in SHAPES}, **shapes}
 
 
 def _sphere(position: Sequence[float], radius: float, color: Sequence[float], opacity: float = 1.0) -> Json:

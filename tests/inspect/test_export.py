@@ -84,6 +84,8 @@ def test_scene_is_what_foxglove_defines(recorded: Recorded, run: Run, tmp_path: 
 
 
 def _assert_fields(content: dict[str, object], descriptor: object) -> None:
+    """The JSON schemas of Foxglove require every field of a message, empty lists included."""
+    assert set(content) == set(descriptor.fields_by_name)  # type: ignore[attr-defined]
     for name, value in content.items():
         field = descriptor.fields_by_name[name]  # type: ignore[attr-defined]
         if name in ("timestamp", "lifetime"):
