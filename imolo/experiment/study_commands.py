@@ -103,7 +103,7 @@ def interpolation(
 @app.command()
 def transfer(
     configs: ConfigPaths = None,
-    motions: Annotated[int, typer.Option(min=4, help="Of a dense table.")] = 200,
+    motions: Annotated[int, typer.Option(min=4, help="Of a dense table.")] = 320,
     out: Out = Path("results/transfer"),
     seed: Seed = None,
     balls: Balls = None,
@@ -131,7 +131,7 @@ def transfer(
 def trials(
     configs: ConfigPaths = None,
     numbers: Annotated[str, typer.Option(help="Numbers of trials, with commas.")] = "5,10,15,20,30",
-    motions: Annotated[int, typer.Option(min=4, help="Of a prior.")] = 200,
+    motions: Annotated[int, typer.Option(min=4, help="Of a prior.")] = 320,
     candidates: Annotated[int, typer.Option(min=1, help="Motions that an active choice may pick from.")] = 60,
     tests: Annotated[int, typer.Option(min=1, help="Motions that the models are tested on.")] = 60,
     out: Out = Path("results/trials"),
