@@ -151,9 +151,9 @@ class PlannerProgram:
     def _tell(self, channel: str, data: bytes) -> Sequence[Said]:
         """Tell the planner and return what it says, but for what has been sent already."""
         begin = time.perf_counter()
-        self._streams.count(channel, data)
         self._said.clear()
         self._inside.tell(channel, data)
+        self._streams.count(channel, data)
         if channel == channels.MOCAP:
             self._latency.add(time.perf_counter() - begin)
         return tuple(self._said)

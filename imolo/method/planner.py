@@ -185,8 +185,14 @@ class Planner:
         found = self._table.query_path(states[:, :3], times, executed)
         if found is None:
             return None
-        commands = self._template.commands(found.theta, onset)
+        commands = self._commands(found.theta, onset)
         return Decision(found.theta, commands, found.position, onset + to_microseconds(found.time))
+
+    def _commands(self, theta: Theta, onset: int) -> Commands:
+        before = self._decision
+        if before is not None and (before.theta, before.commands.onset_utime) == (theta, onset):
+            return before.commands
+        return self._template.commands(theta, onset)
 
     def _most_probable(
         self,
@@ -206,7 +212,7 @@ class Planner:
         found = chooser.start(ball) if executed is None else chooser.update(ball, *executed)
         if found is None:
             return None
-        commands = self._template.commands(found.theta, onset)
+        commands = self._commands(found.theta, onset)
         hit_utime = onset + to_microseconds(found.time)
         return Decision(found.theta, commands, found.position, hit_utime, found.probability, found.side)
 
