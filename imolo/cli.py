@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import warnings
 from importlib.metadata import entry_points
 
 import typer
@@ -52,6 +53,8 @@ def backends() -> None:
 def main() -> None:
     """Run the command line; every error of ours ends in one line."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    # joblib replaces a process that has grown; its tasks are run all the same.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     try:
         app()
     except ImoloError as error:

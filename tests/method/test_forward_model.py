@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.svm import SVR
 
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
@@ -210,6 +212,15 @@ def test_fit_that_stops_early_is_logged(caplog: pytest.LogCaptureFixture) -> Non
     with caplog.at_level(logging.WARNING, logger="imolo"):
         fitted(MLP.model_copy(update={"parameters": {**MLP.parameters, "max_iter": 1}}))
     assert "fit of MLPRegressor" in caplog.text
+
+
+def test_noise_that_is_not_there_is_nothing_to_warn_of(caplog: pytest.LogCaptureFixture) -> None:
+    x = np.linspace(0.0, 6.0, 30)[:, np.newaxis]
+    regressor = GaussianProcessRegressor(RBF() + WhiteKernel(1.0, (0.1, 10.0)))
+    with caplog.at_level(logging.INFO, logger="imolo"):
+        fit_quietly(regressor, x, np.sin(x), "GaussianProcessRegressor")
+    assert "close to the specified lower bound" in caplog.text
+    assert all(record.levelno == logging.INFO for record in caplog.records)
 
 
 def test_training_data_cannot_be_changed_from_outside() -> None:
