@@ -1,23 +1,37 @@
 """The hardware side on loopback: how soon the board follows, switches and vents, and a campaign on the emulator."""
 
 import json
+import logging
+import multiprocessing
 import re
 import select
 import subprocess
 import sys
 import threading
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 import yaml
 
 from benchmarks.measurement import Measurement
+from imolo import channels
+from imolo.backend import Trial, TrialKind
+from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.trial import Bystander, run_trial
+from imolo.log import read_log
 from imolo.method.motion import NUM_VALVES, Commands
+from imolo.priority import BACKEND_PRIORITY, claimed_priority
+from imolo_drivers import hardware_backend
 from imolo_drivers.board import BoardConfig, BoardState
 from imolo_drivers.board_client import BoardClient
 from imolo_drivers.board_server import monotonic_utime
+from imolo_drivers.emulator import DEFINITIONS, MODEL_ID
 from imolo_drivers.handshake import ClientRole
+from imolo_drivers.natnet.config import NatNetServerConfig
+from imolo_drivers.natnet.messages import Frame, LabelledMarker
+from imolo_drivers.natnet.server import NatNetServer
 from imolo_msgs import board_state_t
 
 RATE = 120.0  # [Hz] of the commands, one per camera frame
@@ -27,7 +41,8 @@ MOTIONS = 10
 IMOLO = (sys.executable, "-m", "imolo.cli")
 BALLS, MISSES = 20, 4
 PATIENCE = 300.0  # [s]
-MEDIAN, P99, SWITCH = 0.5, 2.0, 1.0  # [ms] targets
+STALLS, SEEN, STALLED = 50, 0.2, 0.15  # of the cameras: how many, and how long frames come and do not come [s]
+MEDIAN, P99, SWITCH, LOST = 0.5, 2.0, 1.0, 50.0  # [ms] targets
 
 
 def run_campaign(folder: Path, table_path: Path, method: str) -> list[Measurement]:
@@ -90,6 +105,63 @@ def run() -> list[Measurement]:
         Measurement(subject, "last command to vented, watchdog", vented, "ms", watchdog),
         Measurement(subject, "uncertainty of the clocks in these", 1e-3 * client.offset.uncertainty, "ms"),
     ]
+
+
+def run_cameras(folder: Path) -> list[Measurement]:
+    """Let the cameras stop again and again, and measure from the exposure of the last frame to the backend's report."""
+    ours, theirs = multiprocessing.Pipe()
+    cameras = multiprocessing.get_context("spawn").Process(target=_stalling_cameras, args=(theirs,))
+    reports = _Reports()
+    path = folder / "cameras.lcmlog"
+    with subprocess.Popen([*IMOLO, "board", "--listen", "127.0.0.1:0"], stderr=subprocess.PIPE, text=True) as board:
+        cameras.start()
+        hardware_backend.logger.addHandler(reports)
+        try:
+            assert board.stderr is not None
+            address = f"127.0.0.1:{board.stderr.readline().partition('127.0.0.1:')[2].partition(',')[0]}"
+            options = {"board": address, "cameras": {"command_port": ours.recv()}, "camera_patience": 10.0}
+            config = ExperimentConfig.model_validate({"backend": {"name": "hardware", **options}})
+            with claimed_priority(BACKEND_PRIORITY):
+                run_trial(config, Trial(TrialKind.THROW, 0, 1), Bystander(), path, STALLS * (SEEN + STALLED))
+        finally:
+            hardware_backend.logger.removeHandler(reports)
+            cameras.terminate()
+            board.terminate()
+    frames = np.array([frame.utime for frame in read_log(path).messages[channels.MOCAP]])
+    late = [1e-3 * (utime - frames[frames < utime].max()) for utime in reports.utimes if utime > frames[0]]
+    subject = "lost camera stream"
+    return [
+        Measurement(subject, f"last exposure to report, median of {len(late)}", float(np.median(late)), "ms"),
+        Measurement(subject, "last exposure to report, worst", max(late), "ms", LOST),
+    ]
+
+
+class _Reports(logging.Handler):
+    """Keeps when the backend said that no frames come [µs]."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.utimes: list[int] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.msg.startswith("no camera frame"):
+            self.utimes.append(record.args[-1])  # type: ignore[index, arg-type]
+
+
+def _stalling_cameras(port: Connection) -> None:
+    """Be a Motive that sends frames for a while, then none, and so on."""
+    markers = tuple(LabelledMarker(MODEL_ID, number, (0.0, 0.5, 0.0)) for number in range(1, 13))
+    with NatNetServer(NatNetServerConfig(command_port=0), definitions=DEFINITIONS) as motive:
+        port.send(motive.port)
+        number, due = 0, time.monotonic()
+        while True:
+            select.select((motive,), (), (), max(due - time.monotonic(), 0.0))
+            now = time.monotonic()
+            motive.poll(now)
+            if now >= due:
+                number, due = number + 1, due + 1.0 / RATE
+                if now % (SEEN + STALLED) < SEEN:
+                    motive.send(Frame(number, now, motive.ticks(now), markers))
 
 
 def _p99(values: list[float]) -> float:

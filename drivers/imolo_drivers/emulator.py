@@ -35,6 +35,8 @@ from imolo_msgs import board_trial_t, marker_t, mocap_frame_t, trial_event_t, va
 logger = logging.getLogger(__name__)
 
 MODEL_ID = 1  # of the robot in Motive
+_MARKERS = tuple(AssetMarkerDefinition(marker.name, 1 + marker.marker_id, (0.0, 0.0, 0.0)) for marker in MARKERS)
+DEFINITIONS = ModelDefinitions((AssetDefinition(ROBOT_NAME, 0, MODEL_ID, (), _MARKERS),))
 LONGEST_TURN = 0.001  # [s] of the simulation between two looks at the network
 GIVE_UP = 0.1  # [s] behind the clock on the wall from which lost time is not made up for
 FOREVER = 1_000_000_000  # [µs] for which the valves hold what they were given last
@@ -140,7 +142,7 @@ class EmulatedRobot:
         self._frames = self._first_frame = self._announced = 0
         self._waiting: _Scene | None = None
         self._valves = EmulatedValves()
-        self.motive = NatNetServer(motive, definitions=_definitions())
+        self.motive = NatNetServer(motive, definitions=DEFINITIONS)
         try:
             self._scene = self._prepare(IDLE)
             self._begin = monotonic_utime()
@@ -242,8 +244,3 @@ class EmulatedRobot:
                 markers.append(LabelledMarker(MODEL_ID, 1 + marker.marker_id, position))
         ticks = self.motive.ticks(exposed)
         self.motive.send(Frame(self._frames, exposed, ticks, tuple(markers)))
-
-
-def _definitions() -> ModelDefinitions:
-    markers = tuple(AssetMarkerDefinition(marker.name, 1 + marker.marker_id, (0.0, 0.0, 0.0)) for marker in MARKERS)
-    return ModelDefinitions((AssetDefinition(ROBOT_NAME, 0, MODEL_ID, (), markers),))
