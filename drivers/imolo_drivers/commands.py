@@ -77,13 +77,20 @@ def arm(where: BoardAddress = BOARD, person: Person = "") -> None:
     if typer.prompt("Is everybody clear of the robot? Type 'arm' to arm it", default="", show_default=False) != "arm":
         raise BackendError("not armed")
     client = BoardClient(address, ClientRole.OPERATOR, name)
-    client.arm(welcome.controller_session, name)
-    session = welcome.controller_session
-    if not client.wait(lambda: client.state.armed_session == session or bool(client.refusals), PATIENCE):
+    client.wait(lambda: client.state.state_number > 0, PATIENCE)
+    session, before = welcome.controller_session, client.state.num_armed
+    client.arm(session, name)
+
+    def is_answered() -> bool:
+        return bool(client.state.armed_session == session or client.state.num_armed != before or client.refusals)
+
+    if not client.wait(is_answered, PATIENCE):
         raise BackendError("the board does not say that it is armed")
+    client.close()
     if client.refusals:
         raise BackendError(client.refusals[-1].refusal_reason)
-    client.close()
+    if client.state.armed_session != session:
+        raise BackendError(f"the board was armed and has latched at once: {client.state.state_cause}")
     typer.echo("armed; `imolo disarm` vents")
 
 

@@ -117,6 +117,7 @@ class HardwareBackend:
         Raises:
             BackendError: Board or cameras do not answer or do not fit, or nobody arms.
             NatNetError: The cameras cannot be understood.
+            TrialVoidError: A fault or a person ended the arming before the clock began.
         """
         self._bus, self._trial = bus, trial
         self._detector.warm_up()
@@ -234,6 +235,8 @@ class HardwareBackend:
             if board is not None:
                 self._ask_time(board)
                 board.poll()
+                if board.state.num_armed:
+                    self._check_armed(board.state)
             if self._cameras is not None:
                 self._cameras.poll(_now())
         return True
@@ -273,6 +276,9 @@ class HardwareBackend:
             started = state.started_utime - self._shift(board)
             late = f"{started - self._onset} us after the commanded onset"
             self._announce_once(EventName.ONSET, started, np.zeros(3), late)
+        self._check_armed(state)
+
+    def _check_armed(self, state: board_state_t) -> None:
         if self._trial.kind is not TrialKind.THROW and state.board_state != BoardState.ARMED:
             name = BoardState(state.board_state).name.lower()
             raise TrialVoidError(f"the board is {name}: {state.state_cause}")

@@ -4,7 +4,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -50,6 +50,17 @@ def test_person_who_types_arm_arms() -> None:
         assert result.exit_code == 0, result.output
         assert "controller: test at 127.0.0.1" in result.output
         assert any(line.startswith("armed by Ada for test") for line in board.said)
+
+
+def test_person_who_arms_a_board_with_a_broken_converter_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_down(pressure: Sequence[float]) -> None:
+        if any(pressure):
+            raise BackendError("the DAC does not answer")
+
+    with running_board(**PATIENT) as board, controller(board, armed=False):
+        monkeypatch.setattr(board.valves, "write", break_down)
+        result = runner.invoke(app, ["arm", address(board)], input="arm\n")
+        assert str(result.exception) == "the board was armed and has latched at once: the DAC does not answer"
 
 
 @pytest.mark.parametrize("answer", ["", "yes", "ARM"])

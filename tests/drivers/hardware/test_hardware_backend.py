@@ -7,6 +7,7 @@ import math
 import re
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,33 @@ def test_nobody_who_arms_ends_the_wait_in_one_line(tmp_path: Path, caplog: pytes
     with scripted_robot(armed=False) as robot, pytest.raises(BackendError, match="nobody armed the robot"):
         play(config(robot, arm_patience=0.1), tmp_path / "log", player())
     assert "then `imolo arm 127.0.0.1" in caplog.text
+
+
+def test_fault_between_arming_and_the_start_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may come in the same millisecond, so that no state ever says `armed`."""
+
+    def break_down(pressure: Sequence[float]) -> None:
+        if any(pressure):
+            raise BackendError("the DAC does not answer")
+
+    with scripted_robot() as robot:
+        monkeypatch.setattr(robot.valves, "write", break_down)
+        with pytest.raises(TrialVoidError, match="the board is latched: the DAC does not answer"):
+            play(config(robot, arm_patience=5.0), tmp_path / "log", player())
+    assert robot.said.count("latched: the DAC does not answer") == 1
+
+
+def test_person_who_disarms_before_the_start_is_heard(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        arm = robot.server.board.arm
+
+        def arm_and_disarm(session: int, utime: int) -> None:
+            arm(session, utime)
+            robot.server.board.disarm(utime, "disarmed by Ada")
+
+        robot.server.board.arm = arm_and_disarm  # type: ignore[method-assign]
+        with pytest.raises(TrialVoidError, match="the board is vented: disarmed by Ada"):
+            play(config(robot, arm_patience=5.0), tmp_path / "log", player())
 
 
 def test_dry_run_moves_nothing(tmp_path: Path) -> None:
