@@ -29,7 +29,7 @@ def board(
     Without a config its valves are simulated. It moves nothing before a person says `imolo arm`.
     """
     from imolo.config.reading import read_model
-    from imolo.live.program import Console, until_stopped
+    from imolo.live.program import Console, in_background, until_stopped
     from imolo.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
@@ -39,14 +39,13 @@ def board(
     chosen = read_model(config, BoardConfig, "name its converters under `iio`") if config else BoardConfig()
     chosen = chosen.model_copy(update={"dry_run": chosen.dry_run or dry_run})
     where = parse_address(listen)
-    console = Console("board")
-    with until_stopped() as stop:
+    with until_stopped() as stop, in_background(Console("board").say) as say:
         valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
-        server = BoardServer(chosen, valves, where, console.say)
+        server = BoardServer(chosen, valves, where, say)
         kind = "IIO converters" if chosen.iio else "simulated valves"
         dry = ", dry run" if chosen.dry_run else ""
         priority = claim_priority(BOARD_PRIORITY)
-        console.say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
+        say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
         server.run(lambda: bool(stop))
 
 
@@ -129,7 +128,7 @@ def emulate(
     """
     from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
     from imolo.config.simulation import SimulationConfig
-    from imolo.live.program import Console, until_stopped
+    from imolo.live.program import Console, in_background, until_stopped
     from imolo.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
@@ -144,12 +143,11 @@ def emulate(
         config.backend_options()
     host, port = parse_address(motive, MOTIVE_PORT)
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
-    console = Console("emulate")
-    with until_stopped() as stop:
-        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, console.say)
+    with until_stopped() as stop, in_background(Console("emulate").say) as say:
+        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, say)
         where = robot.board.address
         priority = claim_priority(BOARD_PRIORITY)
         ports = f"board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}"
-        console.say(f"{config.backend.name}: {ports}, {priority}")
+        say(f"{config.backend.name}: {ports}, {priority}")
         robot.run(lambda: bool(stop))
-        console.say(f"stopped; {robot.lost:.1f} s lost")
+        say(f"stopped; {robot.lost:.1f} s lost")

@@ -1,7 +1,10 @@
 """The board at the command line: a person arms, and nothing else does."""
 
+import fcntl
+import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,8 +17,10 @@ from typer.testing import CliRunner
 from imolo.cli import app
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
+from imolo_drivers.board_client import BoardClient
 from imolo_drivers.board_server import PORT
 from imolo_drivers.commands import BOARD
+from imolo_drivers.handshake import ClientRole
 
 PATIENT = {"watchdog": 1.0, "silence": 5.0}
 runner = CliRunner()
@@ -41,6 +46,25 @@ def test_board_program_says_where_it_listens_and_vents_at_its_end(board_program:
     assert re.search(r", simulated valves, (real-time|ordinary) priority.*, vented$", first)
     board_program.send_signal(signal.SIGTERM)
     assert board_program.wait(PATIENCE) == 0
+
+
+def test_terminal_that_is_held_up_does_not_hold_up_the_board() -> None:
+    """As Ctrl-S does, or a slow network: here a pipe that nobody reads."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)  # [bytes] the smallest
+    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stderr=writing) as program, open(reading, "rb", buffering=0) as said:
+        os.close(writing)
+        port = int(re.findall(rb"127\.0\.0\.1:(\d+)", said.read(4096))[0])
+        for _ in range(100):  # each is a line in the log
+            with socket.create_connection(("127.0.0.1", port), PATIENCE) as stranger:
+                stranger.sendall(b"This is no frame of the valve board's.")
+                while stranger.recv(4096):
+                    pass
+        client = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test")
+        assert client.wait(lambda: client.state.state_number > 0, PATIENCE)
+        client.close()
+        program.kill()
 
 
 def test_person_who_types_arm_arms() -> None:
