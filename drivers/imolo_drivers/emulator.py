@@ -119,6 +119,7 @@ class EmulatedRobot:
         motive: NatNetServerConfig,
         armed: bool = False,
         say: Callable[[str], None] = lambda _: None,
+        calibration: Calibration | None = None,
     ) -> None:
         """Load the engine, and listen.
 
@@ -129,6 +130,7 @@ class EmulatedRobot:
             motive: Where the motion capture answers.
             armed: Whether to arm every controller that announces a trial, in the place of a person.
             say: Prints a line for the user.
+            calibration: Where the frame of the motion capture lies; by default its axes are ours, turned.
 
         Raises:
             BackendError: The engine refuses the scene, or an address is taken.
@@ -139,7 +141,7 @@ class EmulatedRobot:
             raise BackendError(f"{config.backend.name!r} is no engine; emulate a simulated backend, such as mujoco")
         self.lost = 0.0
         self._config, self._plugin, self._armed, self._say = config, plugin, armed, say
-        self._calibration = Calibration()
+        self._calibration = calibration or Calibration()
         self._frames = self._first_frame = self._announced = 0
         self._waiting: _Scene | None = None
         self._valves = EmulatedValves()
