@@ -20,6 +20,7 @@ def _programs(package: str, *names: str) -> str:
 OPTIONAL = {
     "chromium": lambda: _programs("chromium", "chromium"),
     "ode": lambda: backend_status("ode").problem,
+    "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
     "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),
     "netns": lambda: _programs("iproute2", "ip") or ("" if os.geteuid() == 0 else "network namespaces need root"),
