@@ -5,6 +5,7 @@ CONSTRAINTS ?= constraints.txt
 EXTRAS ?= mujoco,pybullet,dart,dev
 BIN := .venv/bin
 READY := .venv/.ready
+HEADERS ?= build/board
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
@@ -37,8 +38,10 @@ messages: $(READY) ## Generate lcmtypes/imolo_msgs from lcmtypes/*.lcm.
 	cd lcmtypes && ../$(BIN)/lcm-gen --python --ppath . *.lcm
 
 headers: $(READY) ## Write C structs of the valve board's messages to build/board, for firmware.
-	mkdir -p build/board
-	cd lcmtypes && ../$(BIN)/lcm-gen --c --c-no-pubsub --c-cpath ../build/board --c-hpath ../build/board board_*.lcm valve_command_t.lcm
+	mkdir -p $(HEADERS)/lcm
+	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-no-pubsub --c-cpath $(abspath $(HEADERS)) --c-hpath $(abspath $(HEADERS)) \
+		board_*.lcm valve_command_t.lcm
+	cp $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
 
 clean: ## Remove the environment and everything generated.
 	rm -rf .venv build results .mypy_cache .pytest_cache .ruff_cache .hypothesis

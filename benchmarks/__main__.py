@@ -32,6 +32,8 @@ def measure(console: Console) -> Iterator[Measurement]:
         yield from hardware.run()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        with console.status("cameras that stop"):
+            yield from hardware.run_cameras(folder)
         with console.status("campaign"):
             yield from campaign.run(folder / "campaign")
         with console.status("learning"):

@@ -1,6 +1,8 @@
 """Real-time priority for the programs that a clock on the wall drives."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 THREADS = Path("/proc/self/task")
@@ -21,10 +23,25 @@ def claim_priority(priority: int) -> str:
         What it is now, in words.
     """
     try:
-        for thread in THREADS.iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        _set_for_all_threads(os.SCHED_FIFO, priority)
     except (AttributeError, FileNotFoundError):
         return "ordinary priority (real-time priority needs Linux)"
     except PermissionError:
         return "ordinary priority (real-time priority needs root, or an rtprio limit in /etc/security/limits.conf)"
     return f"real-time priority {priority}"
+
+
+@contextlib.contextmanager
+def claimed_priority(priority: int) -> Iterator[str]:
+    """Claim a priority, say what it is now, and be an ordinary program again at the end."""
+    granted = claim_priority(priority)
+    try:
+        yield granted
+    finally:
+        if granted.startswith("real-time"):
+            _set_for_all_threads(os.SCHED_OTHER, 0)
+
+
+def _set_for_all_threads(policy: int, priority: int) -> None:
+    for thread in THREADS.iterdir():
+        os.sched_setscheduler(int(thread.name), policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

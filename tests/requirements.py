@@ -6,6 +6,7 @@ in `OPTIONAL` is always required, so that the matrix cannot shrink unseen.
 
 import os
 import shutil
+from ctypes.util import find_library
 
 import pytest
 
@@ -17,10 +18,18 @@ def _programs(package: str, *names: str) -> str:
     return f"{', '.join(missing)} not found; apt-get install {package}" if missing else ""
 
 
+def _libiio() -> str:
+    if find_library("iio") is None:
+        return "libiio not found; apt-get install libiio0"
+    return "" if os.geteuid() == 0 else "to show devices that are not there needs root, for a mount namespace"
+
+
 OPTIONAL = {
     "chromium": lambda: _programs("chromium", "chromium"),
     "ode": lambda: backend_status("ode").problem,
+    "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
+    "iio": _libiio,
     "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),
     "netns": lambda: _programs("iproute2", "ip") or ("" if os.geteuid() == 0 else "network namespaces need root"),
 }

@@ -11,7 +11,7 @@ COMMANDS = (
     *("compare", "learn", "hit", "ball", "interpolation", "transfer", "trials", "attribute", "report"),
     *("backend", "planner", "record", "throw", "up"),
     *("spy", "top", "replay", "diff", "export", "plot", "view"),
-    *("board", "arm", "disarm", "emulate"),
+    *("board", "arm", "disarm", "calibrate", "emulate"),
 )
 
 

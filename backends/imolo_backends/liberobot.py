@@ -175,6 +175,26 @@ def ready_scene(
     )
 
 
+def ready_markers() -> dict[str, tuple[float, float, float]]:
+    """Return where the markers are in the ready pose, by name, in the world [m]; the robot needs no air for it.
+
+    Those of the hands are left out: arms without air swing.
+    """
+    scene = ready_scene()
+    w, x, y, z = scene.base_quaternion
+    poses = read_urdf(scene.urdf).link_poses(
+        dict(zip(scene.joint_names, scene.joint_angle, strict=True)),
+        np.array(scene.base_position),
+        Rotation.from_quat([x, y, z, w]).as_matrix(),
+    )
+    places = {}
+    for marker in MARKERS:
+        if marker.offset != HAND_OFFSET:
+            position, rotation = poses[marker.link]
+            places[marker.name] = tuple((position + rotation @ np.array(marker.offset)).tolist())
+    return places
+
+
 def _check_range(model: RobotModel, joint_angle: dict[str, float]) -> None:
     for name, angle in joint_angle.items():
         limits = model.joints[name].limits

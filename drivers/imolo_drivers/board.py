@@ -150,6 +150,7 @@ class Board:
         if self.state is not BoardState.ARMED:
             self._forget_motion()
             self.state, self.cause = BoardState.ARMED, ""
+            self._message.num_armed += 1
         self.heard(utime)
         self.tick(utime)
 

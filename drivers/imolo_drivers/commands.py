@@ -29,7 +29,7 @@ def board(
     Without a config its valves are simulated. It moves nothing before a person says `imolo arm`.
     """
     from imolo.config.reading import read_model
-    from imolo.live.program import Console, until_stopped
+    from imolo.live.program import Console, in_background, until_stopped
     from imolo.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
@@ -39,14 +39,13 @@ def board(
     chosen = read_model(config, BoardConfig, "name its converters under `iio`") if config else BoardConfig()
     chosen = chosen.model_copy(update={"dry_run": chosen.dry_run or dry_run})
     where = parse_address(listen)
-    console = Console("board")
-    with until_stopped() as stop:
+    with until_stopped() as stop, in_background(Console("board").say) as say:
         valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
-        server = BoardServer(chosen, valves, where, console.say)
+        server = BoardServer(chosen, valves, where, say)
         kind = "IIO converters" if chosen.iio else "simulated valves"
         dry = ", dry run" if chosen.dry_run else ""
         priority = claim_priority(BOARD_PRIORITY)
-        console.say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
+        say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
         server.run(lambda: bool(stop))
 
 
@@ -77,13 +76,20 @@ def arm(where: BoardAddress = BOARD, person: Person = "") -> None:
     if typer.prompt("Is everybody clear of the robot? Type 'arm' to arm it", default="", show_default=False) != "arm":
         raise BackendError("not armed")
     client = BoardClient(address, ClientRole.OPERATOR, name)
-    client.arm(welcome.controller_session, name)
-    session = welcome.controller_session
-    if not client.wait(lambda: client.state.armed_session == session or bool(client.refusals), PATIENCE):
+    client.wait(lambda: client.state.state_number > 0, PATIENCE)
+    session, before = welcome.controller_session, client.state.num_armed
+    client.arm(session, name)
+
+    def is_answered() -> bool:
+        return bool(client.state.armed_session == session or client.state.num_armed != before or client.refusals)
+
+    if not client.wait(is_answered, PATIENCE):
         raise BackendError("the board does not say that it is armed")
+    client.close()
     if client.refusals:
         raise BackendError(client.refusals[-1].refusal_reason)
-    client.close()
+    if client.state.armed_session != session:
+        raise BackendError(f"the board was armed and has latched at once: {client.state.state_cause}")
     typer.echo("armed; `imolo disarm` vents")
 
 
@@ -110,11 +116,49 @@ def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
 
 
 @app.command()
+def calibrate(
+    config: Annotated[
+        Path, typer.Argument(help="YAML with `backend: {name: hardware}`, such as configs/hardware.yaml.")
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the calibration here.")] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to watch the robot.")] = 2.0,
+) -> None:
+    """Find where the cameras' frame lies, from the markers of the robot at rest in its ready pose.
+
+    Prints how far each marker is from where it should be, and what to put into the config.
+    """
+    from imolo.config.experiment import load_config
+    from imolo.errors import ConfigError
+    from imolo_backends.liberobot import ROBOT_NAME
+    from imolo_drivers.calibrate import calibrate as watch_and_fit
+    from imolo_drivers.hardware_backend import HardwareOptions
+
+    chosen = load_config(config)
+    options = chosen.backend_options()
+    if not isinstance(options, HardwareOptions):
+        raise ConfigError(f"{config} is for {chosen.backend.name!r}, which has no cameras; name the backend hardware")
+    if chosen.robot.name != ROBOT_NAME:
+        raise ConfigError(f"where the markers of {chosen.robot.name!r} are is not known, only those of {ROBOT_NAME!r}")
+    calibration, errors = watch_and_fit(options.cameras, seconds, options.patience)
+    for name, error in sorted(errors.items(), key=lambda item: -item[1]):
+        typer.echo(f"{name:15s} {1e3 * error:5.1f} mm off")
+    typer.echo(f"{'all':15s} {1e3 * calibration.residual:5.1f} mm, root mean square")
+    if out is None:
+        typer.echo(f"\n{calibration.to_yaml()}\ngive --out calibration.yaml to keep it")
+    else:
+        calibration.save(out)
+        typer.echo(f"\nwritten to {out}; put this into {config}:\n\nbackend:\n  calibration: {out.absolute()}")
+
+
+@app.command()
 def emulate(
     engine: Annotated[str, typer.Argument(help="A simulated backend by name, or a YAML that configures it.")],
     listen: Listen = BOARD,
     motive: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where Motive is to answer.")] = MOTIVE,
     armed: Annotated[bool, typer.Option("--armed", help="Arm every trial at once, in the place of a person.")] = False,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where Motive's frame lies, as `imolo calibrate` writes it.")
+    ] = None,
 ) -> None:
     """Be the robot on the network: valve board and motion capture, with an engine behind them in real time.
 
@@ -122,11 +166,12 @@ def emulate(
     """
     from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
     from imolo.config.simulation import SimulationConfig
-    from imolo.live.program import Console, until_stopped
+    from imolo.live.program import Console, in_background, until_stopped
     from imolo.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
     from imolo_drivers.emulator import EmulatedRobot
+    from imolo_drivers.natnet.calibration import Calibration
     from imolo_drivers.natnet.config import NatNetServerConfig
 
     if engine.endswith((".yaml", ".yml")):
@@ -137,12 +182,12 @@ def emulate(
         config.backend_options()
     host, port = parse_address(motive, MOTIVE_PORT)
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
-    console = Console("emulate")
-    with until_stopped() as stop:
-        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, console.say)
+    with until_stopped() as stop, in_background(Console("emulate").say) as say:
+        frame = Calibration.load(calibration) if calibration else Calibration()
+        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, say, frame)
         where = robot.board.address
         priority = claim_priority(BOARD_PRIORITY)
         ports = f"board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}"
-        console.say(f"{config.backend.name}: {ports}, {priority}")
+        say(f"{config.backend.name}: {ports}, {priority}")
         robot.run(lambda: bool(stop))
-        console.say(f"stopped; {robot.lost:.1f} s lost")
+        say(f"stopped; {robot.lost:.1f} s lost")

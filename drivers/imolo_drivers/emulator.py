@@ -4,6 +4,7 @@ The board is the real program; only its converters lead into the simulation. In 
 emulator throws the ball of the trial that a controller announces, when the robot is armed.
 """
 
+import gc
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,6 +36,8 @@ from imolo_msgs import board_trial_t, marker_t, mocap_frame_t, trial_event_t, va
 logger = logging.getLogger(__name__)
 
 MODEL_ID = 1  # of the robot in Motive
+_MARKERS = tuple(AssetMarkerDefinition(marker.name, 1 + marker.marker_id, (0.0, 0.0, 0.0)) for marker in MARKERS)
+DEFINITIONS = ModelDefinitions((AssetDefinition(ROBOT_NAME, 0, MODEL_ID, (), _MARKERS),))
 LONGEST_TURN = 0.001  # [s] of the simulation between two looks at the network
 GIVE_UP = 0.1  # [s] behind the clock on the wall from which lost time is not made up for
 FOREVER = 1_000_000_000  # [µs] for which the valves hold what they were given last
@@ -116,6 +119,7 @@ class EmulatedRobot:
         motive: NatNetServerConfig,
         armed: bool = False,
         say: Callable[[str], None] = lambda _: None,
+        calibration: Calibration | None = None,
     ) -> None:
         """Load the engine, and listen.
 
@@ -126,6 +130,7 @@ class EmulatedRobot:
             motive: Where the motion capture answers.
             armed: Whether to arm every controller that announces a trial, in the place of a person.
             say: Prints a line for the user.
+            calibration: Where the frame of the motion capture lies; by default its axes are ours, turned.
 
         Raises:
             BackendError: The engine refuses the scene, or an address is taken.
@@ -136,11 +141,11 @@ class EmulatedRobot:
             raise BackendError(f"{config.backend.name!r} is no engine; emulate a simulated backend, such as mujoco")
         self.lost = 0.0
         self._config, self._plugin, self._armed, self._say = config, plugin, armed, say
-        self._calibration = Calibration()
+        self._calibration = calibration or Calibration()
         self._frames = self._first_frame = self._announced = 0
         self._waiting: _Scene | None = None
         self._valves = EmulatedValves()
-        self.motive = NatNetServer(motive, definitions=_definitions())
+        self.motive = NatNetServer(motive, definitions=DEFINITIONS)
         try:
             self._scene = self._prepare(IDLE)
             self._begin = monotonic_utime()
@@ -152,6 +157,9 @@ class EmulatedRobot:
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Run in real time until stopped."""
+        # What is there now stays; to look through all of it takes the collector 100 ms.
+        gc.collect()
+        gc.freeze()
         try:
             while not stop():
                 self.turn()
@@ -242,8 +250,3 @@ class EmulatedRobot:
                 markers.append(LabelledMarker(MODEL_ID, 1 + marker.marker_id, position))
         ticks = self.motive.ticks(exposed)
         self.motive.send(Frame(self._frames, exposed, ticks, tuple(markers)))
-
-
-def _definitions() -> ModelDefinitions:
-    markers = tuple(AssetMarkerDefinition(marker.name, 1 + marker.marker_id, (0.0, 0.0, 0.0)) for marker in MARKERS)
-    return ModelDefinitions((AssetDefinition(ROBOT_NAME, 0, MODEL_ID, (), markers),))

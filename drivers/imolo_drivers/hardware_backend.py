@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-LONGEST_WAIT = 0.02  # [s] between two signs of life to the board, a fifth of its watchdog time
+LIFE_SIGN = 20_000  # [µs] between two signs of life to the board, a fifth of its watchdog time
 ASK_AFTER = 1.0  # [s] without being armed until a person is asked to
 
 
@@ -117,6 +117,7 @@ class HardwareBackend:
         Raises:
             BackendError: Board or cameras do not answer or do not fit, or nobody arms.
             NatNetError: The cameras cannot be understood.
+            TrialVoidError: A fault or a person ended the arming before the clock began.
         """
         self._bus, self._trial = bus, trial
         self._detector.warm_up()
@@ -141,8 +142,8 @@ class HardwareBackend:
         board, cameras = self._links()
         try:
             while True:
-                left = max(until_utime - self.utime, 0)
-                select.select([board.fileno(), cameras.fileno()], (), (), min(left * 1e-6, LONGEST_WAIT))
+                left = self._next_due(cameras, until_utime) - monotonic_utime()
+                select.select([board.fileno(), cameras.fileno()], (), (), max(left * 1e-6, 0.0))
                 self._hear_board(board)
                 if self._hear_cameras(cameras) or self.utime >= until_utime:
                     return
@@ -166,6 +167,18 @@ class HardwareBackend:
         if cameras is not None:
             logger.info("%d camera frames lost, %d packets unreadable", cameras.lost, cameras.unreadable)
             cameras.close()
+
+    def _next_due(self, cameras: NatNetClient, until_utime: int) -> int:
+        """Return when there is something to do even if nothing comes [µs], such as to tell of a silence."""
+        camera_limit = cameras.heard + self._options.camera_patience
+        if not self._cameras_lost:
+            camera_limit = min(camera_limit, cameras.lost_at)
+        return min(
+            (self._begin or 0) + until_utime,
+            self._asked + LIFE_SIGN,
+            self._heard_board + to_microseconds(self._options.board_silence),
+            int(camera_limit * 1e6) + 1,  # never too early, which would be once too often
+        )
 
     def _links(self) -> tuple[BoardClient, NatNetClient]:
         if self._board is None or self._cameras is None:
@@ -218,17 +231,19 @@ class HardwareBackend:
             if _now() > end:
                 return False
             links = [link.fileno() for link in (board, self._cameras) if link is not None]
-            select.select(links, (), (), LONGEST_WAIT)
+            select.select(links, (), (), LIFE_SIGN * 1e-6)
             if board is not None:
                 self._ask_time(board)
                 board.poll()
+                if board.state.num_armed:
+                    self._check_armed(board.state)
             if self._cameras is not None:
                 self._cameras.poll(_now())
         return True
 
     def _ask_time(self, board: BoardClient) -> None:
         now = monotonic_utime()
-        if now - self._asked >= LONGEST_WAIT * 1e6:
+        if now - self._asked >= LIFE_SIGN:
             self._asked = now
             board.ask_time()
 
@@ -242,7 +257,7 @@ class HardwareBackend:
             logger.warning("the board refused (%s): %s", refusal.refusal_code, refusal.refusal_reason)
         if board.jumped > to_microseconds(self._options.clock_jump):
             raise TrialVoidError(f"the clock of the board jumped by {board.jumped / 1000:.1f} ms")
-        if now - self._heard_board > self._options.board_silence * 1e6:
+        if now - self._heard_board >= to_microseconds(self._options.board_silence):
             raise TrialVoidError(f"the board has been silent for {(now - self._heard_board) / 1000:.0f} ms")
 
     def _tell_pressure(self, board: BoardClient, state: board_state_t) -> None:
@@ -261,6 +276,9 @@ class HardwareBackend:
             started = state.started_utime - self._shift(board)
             late = f"{started - self._onset} us after the commanded onset"
             self._announce_once(EventName.ONSET, started, np.zeros(3), late)
+        self._check_armed(state)
+
+    def _check_armed(self, state: board_state_t) -> None:
         if self._trial.kind is not TrialKind.THROW and state.board_state != BoardState.ARMED:
             name = BoardState(state.board_state).name.lower()
             raise TrialVoidError(f"the board is {name}: {state.state_cause}")
@@ -275,7 +293,7 @@ class HardwareBackend:
         elif not self._cameras_lost:
             self._cameras_lost = True
             logger.warning("no camera frame for %.0f ms at %d us", 1e3 * silence, self.utime)
-        if silence > self._options.camera_patience:
+        if now >= cameras.heard + self._options.camera_patience:
             raise TrialVoidError(f"no camera frame for {1e3 * silence:.0f} ms")
         for frame in frames:
             self._tell_frame(cameras, frame)

@@ -1,17 +1,20 @@
 """The wires of the valve board: eight pressures out through a DAC, eight in through an ADC."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Protocol, Self
+from typing import Annotated, Any, Protocol, Self
 
 from pydantic import Field, model_validator
 
 from imolo.config.model import Model, Positive
-from imolo.errors import BackendError
+from imolo.errors import BackendError, MissingToolError, did_you_mean
+from imolo.extras import import_extra
 from imolo.method.motion import NUM_VALVES
 
 _Channels = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=NUM_VALVES, max_length=NUM_VALVES)]
+
+
+IIO_DEVICES = Path("/sys/bus/iio/devices")  # where the kernel has them, and libiio looks
 
 
 class ValveIO(Protocol):
@@ -57,7 +60,7 @@ class SimulatedValves:
 class ConverterConfig(Model):
     """A DAC or an ADC that the Linux kernel drives as an IIO device; SPI or I²C makes no difference here."""
 
-    device: str = Field(description="folder of the device, such as /sys/bus/iio/devices/iio:device0")
+    device: str = Field(description="its name, such as ad5628-1, or label or id, as `iio_info` lists it")
     channels: _Channels = Field(tuple(range(NUM_VALVES)), description="number of the channel of the valves 1..8")
     full_scale: Positive = Field(description="gauge pressure at the highest code [Pa], from the valve's data sheet")
     zero_code: Annotated[int, Field(ge=0)] = Field(0, description="code at 0 Pa; sensors often begin at a tenth")
@@ -78,68 +81,87 @@ class IioConfig(Model):
 
 
 class IioValves:
-    """Valves and sensors behind IIO devices of the Linux kernel.
-
-    The kernel's interface is one file per channel that holds a number (Documentation/ABI/testing/sysfs-bus-iio), so
-    that no library is needed. The files stay open.
-    """
+    """Valves and sensors behind IIO devices of the Linux kernel, by libiio."""
 
     def __init__(self, config: IioConfig) -> None:
-        """Open the converters.
+        """Find the converters.
 
         Raises:
-            BackendError: A device or a channel is not there, or may not be written.
+            MissingToolError: libiio or its Python package is not installed.
+            BackendError: A device or a channel is not there.
         """
         self._dac, self._adc = config.dac, config.adc
-        self._files: list[int] = []
-        try:
-            self._outputs = [self._open(config.dac, f"out_voltage{n}_raw", os.O_WRONLY) for n in config.dac.channels]
-            self._inputs = [self._open(config.adc, f"in_voltage{n}_raw", os.O_RDONLY) for n in config.adc.channels]
-        except BackendError:
-            self.close()
-            raise
-        self._codes: list[int | None] = [None] * NUM_VALVES
+        iio = _libiio()
+        # Without devices the package complains of itself, too.
+        if not any(IIO_DEVICES.glob("iio:device*")):
+            raise BackendError(
+                f"there are no IIO devices under {IIO_DEVICES}; are the drivers of the converters loaded?"
+            )
+        # Kept: channels and codes point into it, and nothing else keeps it alive.
+        self._context = iio.LocalContext()
+        self._outputs = _codes(self._context, config.dac, is_output=True)
+        self._inputs = _codes(self._context, config.adc, is_output=False)
+        self._written: list[int | None] = [None] * NUM_VALVES
 
     def write(self, pressure: Sequence[float]) -> None:
         """Write the codes that have changed."""
         for valve, value in enumerate(pressure):
             code = _code(self._dac, value)
-            if code == self._codes[valve]:
+            if code == self._written[valve]:
                 continue
-            self._codes[valve] = None
+            self._written[valve] = None
             try:
-                os.pwrite(self._outputs[valve], b"%d" % code, 0)
+                self._outputs[valve].value = str(code)
             except OSError as error:
                 raise BackendError(f"the DAC does not take code {code} for valve {valve + 1}: {error}") from error
-            self._codes[valve] = code
+            self._written[valve] = code
 
     def read(self) -> Sequence[float]:
         """Read all channels, one after the other."""
         pressures = []
         span = self._adc.highest_code - self._adc.zero_code
-        for valve, file in enumerate(self._inputs):
+        for valve, channel in enumerate(self._inputs):
             try:
-                code = int(os.pread(file, 32, 0))
+                code = int(channel.value)
             except (OSError, ValueError) as error:
                 raise BackendError(f"the ADC does not tell the pressure of valve {valve + 1}: {error}") from error
             pressures.append((code - self._adc.zero_code) / span * self._adc.full_scale)
         return pressures
 
     def close(self) -> None:
-        """Close the files."""
-        while self._files:
-            os.close(self._files.pop())
+        """Let the devices go."""
+        self._outputs, self._inputs, self._context = [], [], None
 
-    def _open(self, converter: ConverterConfig, name: str, mode: int) -> int:
-        path = Path(converter.device) / name
-        try:
-            file = os.open(path, mode)
-        except OSError as error:
-            raise BackendError(
-                f"cannot open {path}: {error.strerror}; see /sys/bus/iio/devices/*/name for what is there"
-            ) from error
-        self._files.append(file)
-        return file
+
+def _libiio() -> Any:
+    """Import the package that wraps libiio.
+
+    Raises:
+        MissingToolError: It or libiio is not installed.
+    """
+    try:
+        return import_extra("iio", "iio")
+    except (OSError, AttributeError) as error:  # what it raises depends on its version
+        raise MissingToolError(f"libiio cannot be used: {error}; on Debian, apt-get install libiio0") from error
+
+
+def _codes(context: Any, converter: ConverterConfig, *, is_output: bool) -> list[Any]:
+    """Return what holds the code of each valve's channel."""
+    device = context.find_device(converter.device)
+    if device is None:
+        known = [found.name or found.id for found in context.devices]
+        raise BackendError(
+            f"there is no IIO device {converter.device!r}{did_you_mean(converter.device, known)}; "
+            f"there are: {', '.join(known) or 'none'}"
+        )
+    codes = []
+    for number in converter.channels:
+        channel = device.find_channel(f"voltage{number}", is_output)
+        if channel is None or "raw" not in channel.attrs:
+            kind = "output" if is_output else "input"
+            raise BackendError(f"{converter.device} has no {kind} voltage{number} with a code; see `iio_info`")
+        codes.append(channel.attrs["raw"])
+    return codes
 
 
 def _code(dac: ConverterConfig, pressure: float) -> int:

@@ -1,5 +1,6 @@
 """Run many trials at once, on all cores or machines, and keep what is done when one fails or the user stops."""
 
+import contextlib
 import logging
 import multiprocessing
 import signal
@@ -35,7 +36,7 @@ from imolo.experiment.workers import run_on_cores, run_on_dask
 from imolo.log import LOG_SUFFIX
 from imolo.method.planner import Planner
 from imolo.method.table import LookupTable
-from imolo.priority import BACKEND_PRIORITY, claim_priority
+from imolo.priority import BACKEND_PRIORITY, claimed_priority
 from imolo.registry import load_backend
 
 logger = logging.getLogger(__name__)
@@ -248,6 +249,7 @@ def run_task(task: TrialTask) -> TrialTiming:
     controller: Controller = Bystander()
     duration = config.campaign.duration
     decisions: list[float] = []
+    on_robot = not load_backend(config.backend.name).simulated
     if trial.kind is TrialKind.TRAINING:
         theta = config.training.motions[trial.index]
         controller = MotionPlayer(config.motion, theta)
@@ -255,12 +257,14 @@ def run_task(task: TrialTask) -> TrialTiming:
     elif task.table_path is not None:
         table, ball_model = load_learned(task.table_path, config.robot.name)
         controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
-        if not load_backend(config.backend.name).simulated:
+        if on_robot:
             controller.warm_up()
-            logger.info("%s", claim_priority(BACKEND_PRIORITY))
     begin = time.perf_counter()
-    # One thread, so that the sums do not depend on the number of cores.
-    with threadpool_limits(limits=1):
+    with contextlib.ExitStack() as stack:
+        # One thread, so that the sums do not depend on the number of cores.
+        stack.enter_context(threadpool_limits(limits=1))
+        if on_robot:
+            logger.info("%s", stack.enter_context(claimed_priority(BACKEND_PRIORITY)))
         simulated = run_trial(config, trial, controller, task.log_path, duration)
     return TrialTiming(simulated=simulated, elapsed=time.perf_counter() - begin, decisions=tuple(decisions))
 

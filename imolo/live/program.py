@@ -5,13 +5,16 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from queue import SimpleQueue
 
 from imolo.live.node import BEAT, Node
 
 TERMINAL_STATUS = 0.5  # [s] between two status lines on a terminal, where each replaces the last
 FILE_STATUS = 10.0  # [s] elsewhere
+LAST_WORDS = 1.0  # [s] that the end of a program waits for a terminal
 
 
 class Console:
@@ -48,6 +51,27 @@ class Console:
         if self._open:
             print("\r\x1b[K", end="", file=sys.stderr)
             self._open = False
+
+
+@contextlib.contextmanager
+def in_background(say: Callable[[str], None]) -> Iterator[Callable[[str], None]]:
+    """Return what says lines from a thread of its own.
+
+    A terminal that is held up, by Ctrl-S or a slow network, holds up whoever prints to it; valves cannot wait for it.
+    """
+    lines: SimpleQueue[str | None] = SimpleQueue()
+
+    def say_all() -> None:
+        while (line := lines.get()) is not None:
+            say(line)
+
+    thread = threading.Thread(target=say_all, daemon=True)
+    thread.start()
+    try:
+        yield lines.put
+    finally:
+        lines.put(None)
+        thread.join(LAST_WORDS)
 
 
 class Stop:

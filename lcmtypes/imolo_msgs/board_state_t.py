@@ -10,11 +10,11 @@ import struct
 class board_state_t(object):
     """ What the valve board measures and does, sent at a fixed rate; all times on the board's clock. """
 
-    __slots__ = ["measured_utime", "state_number", "board_state", "armed_session", "phase_in_force", "started_utime", "switched_utime", "accepted_sequence", "accepted_utime", "num_refused", "num_clamped", "given_pressure", "measured_pressure", "state_cause"]
+    __slots__ = ["measured_utime", "state_number", "board_state", "armed_session", "num_armed", "phase_in_force", "started_utime", "switched_utime", "accepted_sequence", "accepted_utime", "num_refused", "num_clamped", "given_pressure", "measured_pressure", "state_cause"]
 
-    __typenames__ = ["int64_t", "int32_t", "int8_t", "int64_t", "int32_t", "int64_t", "int64_t", "int32_t", "int64_t", "int32_t", "int32_t", "double", "double", "string"]
+    __typenames__ = ["int64_t", "int32_t", "int8_t", "int64_t", "int32_t", "int32_t", "int64_t", "int64_t", "int32_t", "int64_t", "int32_t", "int32_t", "double", "double", "string"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, [8], [8], None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, [8], [8], None]
 
     VENTED = 0
     """ Valves are vented until a person arms. """
@@ -42,6 +42,12 @@ class board_state_t(object):
         """
         The connection that may move the robot now; 0 if none may.
         LCM Type: int64_t
+        """
+
+        self.num_armed = 0
+        """
+        How often the connected controller has been armed; above 0 and not armed: a fault or a person ended it.
+        LCM Type: int32_t
         """
 
         self.phase_in_force = 0
@@ -104,7 +110,7 @@ class board_state_t(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">qibqiqqiqii", self.measured_utime, self.state_number, self.board_state, self.armed_session, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped))
+        buf.write(struct.pack(">qibqiiqqiqii", self.measured_utime, self.state_number, self.board_state, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped))
         buf.write(struct.pack('>8d', *self.given_pressure[:8]))
         buf.write(struct.pack('>8d', *self.measured_pressure[:8]))
         __state_cause_encoded = self.state_cause.encode('utf-8')
@@ -125,7 +131,7 @@ class board_state_t(object):
     @staticmethod
     def _decode_one(buf):
         self = board_state_t()
-        self.measured_utime, self.state_number, self.board_state, self.armed_session, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped = struct.unpack(">qibqiqqiqii", buf.read(61))
+        self.measured_utime, self.state_number, self.board_state, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped = struct.unpack(">qibqiiqqiqii", buf.read(65))
         self.given_pressure = struct.unpack('>8d', buf.read(64))
         self.measured_pressure = struct.unpack('>8d', buf.read(64))
         __state_cause_len = struct.unpack('>I', buf.read(4))[0]
@@ -135,7 +141,7 @@ class board_state_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if board_state_t in parents: return 0
-        tmphash = (0xc46ea09c332a781d) & 0xffffffffffffffff
+        tmphash = (0xeb43389d96206055) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

@@ -12,7 +12,7 @@ import yaml
 from pydantic import Field, ValidationError, model_validator
 from scipy.spatial.transform import Rotation
 
-from imolo.config.model import Model, NonNegative, Positive, Vector
+from imolo.config.model import Fraction, Model, NonNegative, Positive, Vector
 from imolo.errors import CalibrationError
 from imolo_drivers.natnet.messages import Array
 
@@ -21,10 +21,18 @@ Z_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 class CalibrationLimits(Model):
-    """What a fit must keep to."""
+    """What markers and fit must keep to."""
+
+    min_seen: Fraction = Field(0.5, description="share of the frames that must show a marker, assumed")
+    max_motion: Positive = Field(
+        0.002, description="sd of a marker at rest, each axis [m], assumed: seven times the noise of the cameras"
+    )
 
     max_residual: Positive = Field(
         0.010, description="root mean square between markers and fit [m], assumed: places measured by hand"
+    )
+    max_error: Positive = Field(
+        0.020, description="of one marker [m], assumed: twice that; more is a wrong label or a marker that came off"
     )
     min_spread: Positive = Field(
         0.05,
@@ -42,7 +50,7 @@ class Calibration(Model):
     rotation: tuple[Vector, Vector, Vector] = tuple(map(tuple, Z_UP.tolist()))  # type: ignore[assignment]
     translation: Vector = Field((0.0, 0.0, 0.0), description="[m]")
     residual: NonNegative = Field(0.0, description="root mean square over the markers [m]")
-    markers: tuple[int, ...] = Field((), description="labels of the markers it was fitted to")
+    markers: tuple[str, ...] = Field((), description="names of the markers it was fitted to")
 
     @model_validator(mode="after")
     def _rotation_is_one(self) -> Self:
@@ -59,6 +67,16 @@ class Calibration(Model):
         """Return positions of the world in Motive's frame [m], both of shape (N, 3)."""
         return np.asarray((positions - np.array(self.translation)) @ np.array(self.rotation))
 
+    def errors(self, measured: Mapping[str, Vector], known: Mapping[str, Vector]) -> dict[str, float]:
+        """Return how far each of `markers` is measured from where it is known to be [m]; arguments as of `fit`."""
+        places = np.array([measured[name] for name in self.markers], dtype=np.float64)
+        distances = self.to_world(places) - np.array([known[name] for name in self.markers])
+        return dict(zip(self.markers, np.linalg.norm(distances, axis=1).tolist(), strict=True))
+
+    def to_yaml(self) -> str:
+        """Return it as YAML."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+
     def save(self, path: Path) -> None:
         """Write a YAML file.
 
@@ -66,7 +84,7 @@ class Calibration(Model):
             CalibrationError: It cannot be written.
         """
         try:
-            path.write_text(yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+            path.write_text(self.to_yaml(), encoding="utf-8")
         except OSError as error:
             raise CalibrationError(f"cannot write {path}: {error.strerror}") from None
 
@@ -87,32 +105,33 @@ class Calibration(Model):
 
 
 def fit(
-    measured: Mapping[int, Vector], known: Mapping[int, Vector], limits: CalibrationLimits | None = None
+    measured: Mapping[str, Vector], known: Mapping[str, Vector], limits: CalibrationLimits | None = None
 ) -> Calibration:
     """Fit the transform that brings measured markers closest to where they are known to be (Kabsch).
 
     Args:
-        measured: Mean positions by label in Motive's frame [m], see `markers.mean_positions`.
-        known: Positions by label in the world [m]; what was not measured is left out.
+        measured: Mean positions by name in Motive's frame [m], see `markers.rest_positions`.
+        known: Positions by name in the world [m]; what was not measured is left out.
         limits: What the fit must keep to.
 
     Raises:
         CalibrationError: There are fewer than three markers, they lie on a line, do not fit, or Motive is not y-up.
     """
     limits = limits or CalibrationLimits()
-    labels = sorted(measured.keys() & known.keys())
-    if len(labels) < 3:
-        raise CalibrationError(f"a calibration needs 3 markers at known places; the cameras see {labels or 'none'}")
-    motive = np.array([measured[label] for label in labels], dtype=np.float64)
-    world = np.array([known[label] for label in labels], dtype=np.float64)
+    names = sorted(measured.keys() & known.keys())
+    listed = ", ".join(names) or "none"
+    if len(names) < 3:
+        raise CalibrationError(f"a calibration needs 3 markers at known places; the cameras see {listed}")
+    motive = np.array([measured[name] for name in names], dtype=np.float64)
+    world = np.array([known[name] for name in names], dtype=np.float64)
     if not np.isfinite(motive).all() or not np.isfinite(world).all():
-        raise CalibrationError(f"a position of the markers {labels} is not a number")
+        raise CalibrationError(f"a position of the markers {listed} is not a number")
     motive_mean, world_mean = motive.mean(axis=0), world.mean(axis=0)
-    for name, centred in (("measured", motive - motive_mean), ("known", world - world_mean)):
-        spread = float(np.linalg.svd(centred, compute_uv=False)[1]) / np.sqrt(len(labels))
+    for which, centred in (("measured", motive - motive_mean), ("known", world - world_mean)):
+        spread = float(np.linalg.svd(centred, compute_uv=False)[1]) / np.sqrt(len(names))
         if spread < limits.min_spread:
             raise CalibrationError(
-                f"the {name} places of the markers {labels} lie on a line within {1e3 * spread:.0f} mm, at least "
+                f"the {which} places of the markers {listed} lie on a line within {1e3 * spread:.0f} mm, at least "
                 f"{1e3 * limits.min_spread:.0f} mm are needed; take markers that span a plane"
             )
     turned = (motive - motive_mean) @ Z_UP.T
@@ -122,11 +141,12 @@ def fit(
     translation = world_mean - rotation @ motive_mean
     errors = np.linalg.norm(motive @ rotation.T + translation - world, axis=1)
     residual = float(np.sqrt(np.mean(errors**2)))
-    if residual > limits.max_residual:
-        worst = int(np.argmax(errors))
+    worst = int(np.argmax(errors))
+    if residual > limits.max_residual or errors[worst] > limits.max_error:
         raise CalibrationError(
-            f"the markers {labels} fit only to {1e3 * residual:.1f} mm, at most {1e3 * limits.max_residual:.1f} mm are "
-            f"allowed; marker {labels[worst]} is off by {1e3 * errors[worst]:.1f} mm. Check labels and known places"
+            f"{names[worst]} is off by {1e3 * errors[worst]:.1f} mm, at most {1e3 * limits.max_error:.1f} mm are "
+            f"allowed, and all markers ({listed}) by {1e3 * residual:.1f} mm (root mean square), at most "
+            f"{1e3 * limits.max_residual:.1f} mm. Check the names in Motive, the markers and the pose"
         )
     if tilt > limits.max_tilt:
         raise CalibrationError(
@@ -137,5 +157,5 @@ def fit(
         rotation=tuple(map(tuple, rotation.tolist())),
         translation=tuple(translation.tolist()),
         residual=residual,
-        markers=tuple(labels),
+        markers=tuple(names),
     )

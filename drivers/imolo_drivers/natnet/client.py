@@ -86,15 +86,23 @@ class NatNetClient:
         self._say_what_is_due(now)
         return frames
 
+    @property
+    def heard(self) -> float:
+        """When the last frame came, or the first poll was if there was none [s]; minus infinity before that."""
+        return -float("inf") if self._started is None else max(self._last_frame, self._started)
+
+    @property
+    def lost_at(self) -> float:
+        """When the stream will be lost if no frame comes [s], `silence_limit` after the last one."""
+        return self.heard + self._config.silence_limit
+
     def silence(self, now: float) -> float:
         """Return the time since the last frame, or the first poll if there was none [s]; infinity before that."""
-        if self._started is None:
-            return float("inf")
-        return now - max(self._last_frame, self._started)
+        return now - self.heard
 
     def is_lost(self, now: float) -> bool:
-        """Return whether frames are missing for longer than the `silence_limit`."""
-        return self.silence(now) > self._config.silence_limit
+        """Return whether frames are missing for the `silence_limit`."""
+        return now >= self.lost_at
 
     def exposure_time(self, frame: m.Frame) -> tuple[float, float] | None:
         """Return our time of the middle of a frame's exposure and its greatest error [s].

@@ -1,12 +1,12 @@
 """From the markers of a NatNet frame to a MOCAP message: our labels, the world frame."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imolo.errors import NatNetError, did_you_mean
+from imolo.errors import CalibrationError, NatNetError, did_you_mean
 from imolo_drivers.natnet import messages as m
-from imolo_drivers.natnet.calibration import Calibration
+from imolo_drivers.natnet.calibration import Calibration, CalibrationLimits
 from imolo_drivers.natnet.config import MarkerLabels
 from imolo_msgs import marker_t, mocap_frame_t
 
@@ -65,15 +65,44 @@ def mocap_frame(frame: m.Frame, utime: int, labels: Labels, calibration: Calibra
     return message
 
 
-def mean_positions(frames: Iterable[m.Frame], labels: Labels) -> dict[int, m.Vector3]:
-    """Return the mean position of each of the robot's markers over the frames that saw it, in Motive's frame [m]."""
-    seen: dict[int, list[m.Vector3]] = {}
+def rest_positions(
+    frames: Sequence[m.Frame], labels: Labels, names: Mapping[int, str], limits: CalibrationLimits
+) -> dict[str, m.Vector3]:
+    """Return the mean positions of markers of a robot at rest over the frames that saw them, in Motive's frame [m].
+
+    Args:
+        frames: Of some seconds.
+        labels: Of all of the robot's markers.
+        names: Name of each label whose marker is wanted.
+        limits: What the markers must keep to.
+
+    Raises:
+        CalibrationError: A marker was not seen, or too seldom, or it moved.
+    """
+    seen: dict[int, list[m.Vector3]] = {label: [] for label in names}
     for frame in frames:
         for marker in frame.labelled:
             label = labels.get((marker.model_id, marker.marker_id))
-            if label is not None and marker.seen:
-                seen.setdefault(label, []).append(marker.position)
-    return {label: tuple(np.mean(positions, axis=0).tolist()) for label, positions in seen.items()}
+            if label in seen and marker.seen:
+                seen[label].append(marker.position)
+    hidden = [
+        f"{names[label]} in {len(positions)}"
+        for label, positions in seen.items()
+        if len(positions) < max(limits.min_seen * len(frames), 1)
+    ]
+    if hidden:
+        raise CalibrationError(
+            f"of {len(frames)} frames the cameras saw {', '.join(hidden)}; {100 * limits.min_seen:.0f} % are needed. "
+            "Uncover the markers, and look in Motive whether they have their labels"
+        )
+    motion = {names[label]: float(np.std(positions, axis=0).max()) for label, positions in seen.items()}
+    name = max(motion, key=lambda one: motion[one])
+    if motion[name] > limits.max_motion:
+        raise CalibrationError(
+            f"{name} moved by {1e3 * motion[name]:.1f} mm (standard deviation), at most {1e3 * limits.max_motion:.1f} "
+            "mm are allowed; let the robot rest"
+        )
+    return {names[label]: tuple(np.mean(positions, axis=0).tolist()) for label, positions in seen.items()}
 
 
 def _marker_names(asset: str, definitions: m.ModelDefinitions) -> dict[str, int] | None:

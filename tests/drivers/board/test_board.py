@@ -67,6 +67,18 @@ def test_armed_board_holds_the_rest_pressures() -> None:
     assert valves.pressure == REST
 
 
+def test_every_session_counts_how_often_it_was_armed() -> None:
+    board, _ = armed()
+    board.arm(SESSION, START)  # is armed already
+    assert board.tell(START).num_armed == 1
+    board.latch(START, "a fault")
+    board.arm(SESSION, START)
+    assert board.tell(START).num_armed == 2
+    board.disconnect(START, "gone")
+    board.connect(SESSION + 1, False, START)
+    assert board.tell(START).num_armed == 0
+
+
 def test_arming_is_for_the_connected_controller_alone() -> None:
     board = Board(BoardConfig(), SimulatedValves(), START)
     with pytest.raises(RefusedError, match="no controller"):

@@ -1,10 +1,13 @@
 """The board at the command line: a person arms, and nothing else does."""
 
+import fcntl
+import os
 import re
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -14,8 +17,10 @@ from typer.testing import CliRunner
 from imolo.cli import app
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
+from imolo_drivers.board_client import BoardClient
 from imolo_drivers.board_server import PORT
 from imolo_drivers.commands import BOARD
+from imolo_drivers.handshake import ClientRole
 
 PATIENT = {"watchdog": 1.0, "silence": 5.0}
 runner = CliRunner()
@@ -43,6 +48,25 @@ def test_board_program_says_where_it_listens_and_vents_at_its_end(board_program:
     assert board_program.wait(PATIENCE) == 0
 
 
+def test_terminal_that_is_held_up_does_not_hold_up_the_board() -> None:
+    """As Ctrl-S does, or a slow network: here a pipe that nobody reads."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)  # [bytes] the smallest
+    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stderr=writing) as program, open(reading, "rb", buffering=0) as said:
+        os.close(writing)
+        port = int(re.findall(rb"127\.0\.0\.1:(\d+)", said.read(4096))[0])
+        for _ in range(100):  # each is a line in the log
+            with socket.create_connection(("127.0.0.1", port), PATIENCE) as stranger:
+                stranger.sendall(b"This is no frame of the valve board's.")
+                while stranger.recv(4096):
+                    pass
+        client = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test")
+        assert client.wait(lambda: client.state.state_number > 0, PATIENCE)
+        client.close()
+        program.kill()
+
+
 def test_person_who_types_arm_arms() -> None:
     with running_board(**PATIENT) as board, controller(board, armed=False) as client:
         client.ask_time()
@@ -50,6 +74,17 @@ def test_person_who_types_arm_arms() -> None:
         assert result.exit_code == 0, result.output
         assert "controller: test at 127.0.0.1" in result.output
         assert any(line.startswith("armed by Ada for test") for line in board.said)
+
+
+def test_person_who_arms_a_board_with_a_broken_converter_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_down(pressure: Sequence[float]) -> None:
+        if any(pressure):
+            raise BackendError("the DAC does not answer")
+
+    with running_board(**PATIENT) as board, controller(board, armed=False):
+        monkeypatch.setattr(board.valves, "write", break_down)
+        result = runner.invoke(app, ["arm", address(board)], input="arm\n")
+        assert str(result.exception) == "the board was armed and has latched at once: the DAC does not answer"
 
 
 @pytest.mark.parametrize("answer", ["", "yes", "ARM"])

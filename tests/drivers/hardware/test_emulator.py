@@ -1,18 +1,15 @@
 """The emulator takes part in the streams like an engine, through real sockets, and its board is the real one."""
 
-import contextlib
 import re
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from experiment import trials
 from requirements import AVAILABLE
+from running_emulator import PATIENCE, RunningEmulator, emulator
 
 from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
@@ -28,55 +25,9 @@ from imolo_drivers.board import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.config import NatNetServerConfig
 
-PATIENCE = 20.0  # [s]
 SIMULATION_ONLY = {channels.TRUTH_ROBOT, channels.TRUTH_BALL}
 THETA = Theta(0.5, 0.25)
 DURATION = START_MARGIN + THETA.t_w + 0.3  # [s] of a training trial
-PATIENT = {
-    "camera_patience": 5.0,
-    "board_silence": 5.0,
-    "clock_jump": 1.0,
-}  # on a machine that is busy with other tests
-
-
-class RunningEmulator:
-    def __init__(self, engine: str, armed: bool = True) -> None:
-        self.said: list[str] = []
-        config = trials.config(engine)
-        board = BoardConfig(watchdog=1.0, silence=5.0)
-        cameras = NatNetServerConfig(command_port=0)
-        self.robot = EmulatedRobot(config, board, ("127.0.0.1", 0), cameras, armed, self.said.append)
-        self.failure: BaseException | None = None
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def config(self, **options: Any) -> ExperimentConfig:
-        host, port = self.robot.board.address
-        cameras = {"command_port": self.robot.motive.port, "silence_limit": 5.0}
-        backend = {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **PATIENT, **options}
-        return ExperimentConfig.model_validate({"backend": backend})
-
-    def stop(self) -> None:
-        self._stop.set()
-        self._thread.join(PATIENCE)
-        assert not self._thread.is_alive(), "the emulator hangs"
-        assert self.failure is None, f"the emulator crashed: {self.failure!r}"
-
-    def _run(self) -> None:
-        try:
-            self.robot.run(self._stop.is_set)
-        except BaseException as error:  # noqa: BLE001
-            self.failure = error
-
-
-@contextlib.contextmanager
-def emulator(engine: str = "mujoco") -> Iterator[RunningEmulator]:
-    running = RunningEmulator(engine)
-    try:
-        yield running
-    finally:
-        running.stop()
 
 
 def play(

@@ -1,9 +1,13 @@
 """The robot as a backend, against a board and a Motive that fail as told: never a hang, and the log is kept."""
 
+import contextlib
 import dataclasses
 import logging
+import math
 import re
+import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +27,9 @@ from imolo.live.program import Console, Stop
 from imolo.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.registry import ready_simulations
+from imolo_drivers import hardware_backend
 from imolo_drivers.board import VENTED_PRESSURE
+from imolo_drivers.board_server import monotonic_utime
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.encoder import encode
 from imolo_drivers.natnet.messages import Frame, LabelledMarker
@@ -103,6 +109,33 @@ def test_nobody_who_arms_ends_the_wait_in_one_line(tmp_path: Path, caplog: pytes
     with scripted_robot(armed=False) as robot, pytest.raises(BackendError, match="nobody armed the robot"):
         play(config(robot, arm_patience=0.1), tmp_path / "log", player())
     assert "then `imolo arm 127.0.0.1" in caplog.text
+
+
+def test_fault_between_arming_and_the_start_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may come in the same millisecond, so that no state ever says `armed`."""
+
+    def break_down(pressure: Sequence[float]) -> None:
+        if any(pressure):
+            raise BackendError("the DAC does not answer")
+
+    with scripted_robot() as robot:
+        monkeypatch.setattr(robot.valves, "write", break_down)
+        with pytest.raises(TrialVoidError, match="the board is latched: the DAC does not answer"):
+            play(config(robot, arm_patience=5.0), tmp_path / "log", player())
+    assert robot.said.count("latched: the DAC does not answer") == 1
+
+
+def test_person_who_disarms_before_the_start_is_heard(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+        arm = robot.server.board.arm
+
+        def arm_and_disarm(session: int, utime: int) -> None:
+            arm(session, utime)
+            robot.server.board.disarm(utime, "disarmed by Ada")
+
+        robot.server.board.arm = arm_and_disarm  # type: ignore[method-assign]
+        with pytest.raises(TrialVoidError, match="the board is vented: disarmed by Ada"):
+            play(config(robot, arm_patience=5.0), tmp_path / "log", player())
 
 
 def test_dry_run_moves_nothing(tmp_path: Path) -> None:
@@ -224,6 +257,57 @@ def test_stalled_cameras_are_reported_and_void_the_trial(tmp_path: Path, caplog:
     (report,) = (record for record in caplog.records if "no camera frame" in record.message)
     silence = float(re.findall(r"for (\d+) ms", report.message)[0])
     assert silence >= round(1e3 * NatNetConfig().silence_limit)
+
+
+class VirtualTime:
+    """A clock that only waiting moves, and that nothing interrupts."""
+
+    def __init__(self) -> None:
+        self.now = monotonic_utime()
+        self.waits = 0
+
+    def utime(self) -> int:
+        return self.now
+
+    def select(self, _reading: object, _writing: object, _failing: object, timeout: float) -> tuple[list[int], ...]:
+        self.waits += 1
+        assert self.waits < 1000, "the backend does not wait"
+        self.now += math.ceil(timeout * 1e6)
+        return [], [], []
+
+
+@pytest.mark.parametrize("step", [1_000, 7_000, 10_000_000])
+def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of_patience(
+    step: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long the backend is asked to wait: in virtual time it wakes up when it is due, to the microsecond."""
+    covered = threading.Event()
+
+    def cover(_: float, markers: Markers) -> Markers | None:
+        return None if covered.is_set() else markers
+
+    with scripted_robot(cover) as robot:
+        one = backend(config(robot, board_silence=60.0))
+
+        def go_on() -> None:
+            while True:
+                one.advance(one.utime + step)
+
+        one.start(memory_bus(), Trial(TrialKind.THROW, 0, 1))
+        covered.set()
+        one.advance(one.utime + 20_000)  # what was on its way has come
+        virtual = VirtualTime()
+        monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
+        monkeypatch.setattr(hardware_backend, "select", virtual)
+        last = round(one._cameras.heard * 1e6)
+        with contextlib.closing(one), pytest.raises(TrialVoidError, match="no camera frame for 250 ms"):
+            go_on()
+        (report,) = caplog.messages
+        found = re.fullmatch(r"no camera frame for 35 ms at (\d+) us", report)
+        assert found is not None
+        told = one._begin + int(found[1])
+        assert 0 <= told - last - 35_000 <= 2  # a rounded microsecond at each end
+        assert 0 <= virtual.now - last - 250_000 <= 2
 
 
 def test_short_stall_is_reported_once_and_the_trial_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -13,12 +13,18 @@ from scipy.spatial.transform import Rotation
 from imolo.errors import CalibrationError, NatNetError
 from imolo_backends.liberobot import MARKERS
 from imolo_drivers.natnet import messages as m
-from imolo_drivers.natnet.calibration import Z_UP, Calibration, fit
+from imolo_drivers.natnet.calibration import Z_UP, Calibration, CalibrationLimits, fit
 from imolo_drivers.natnet.config import MarkerLabels
-from imolo_drivers.natnet.markers import find_labels, mean_positions, mocap_frame
+from imolo_drivers.natnet.markers import find_labels, mocap_frame, rest_positions
 from imolo_msgs import marker_t
 
-KNOWN = {6: (0.1, -0.3, 0.9), 7: (0.1, 0.3, 0.9), 10: (0.0, -0.1, 0.4), 11: (0.0, 0.1, 0.4), 0: (-0.2, 0.0, 0.6)}
+KNOWN = {
+    "right_hand": (0.1, -0.3, 0.9),
+    "left_hand": (0.1, 0.3, 0.9),
+    "right_toe": (0.0, -0.1, 0.4),
+    "left_toe": (0.0, 0.1, 0.4),
+    "right_hip": (-0.2, 0.0, 0.6),
+}
 angle = st.floats(-math.pi, math.pi)
 small_tilt = st.floats(-math.radians(3.0), math.radians(3.0))
 length = st.floats(-5.0, 5.0)
@@ -55,21 +61,39 @@ def test_noise_shows_in_the_residual() -> None:
 
 
 def test_a_mirrored_arrangement_does_not_fit() -> None:
-    mirrored = {label: (-x, y, z) for label, (x, y, z) in seen_by_cameras(np.eye(3), np.zeros(3)).items()}
-    with pytest.raises(CalibrationError, match="fit only to"):
-        fit(mirrored, {label: (x, y + 0.1 * label, z) for label, (x, y, z) in KNOWN.items()})
+    mirrored = {name: (-x, y, z) for name, (x, y, z) in seen_by_cameras(np.eye(3), np.zeros(3)).items()}
+    with pytest.raises(CalibrationError, match="root mean square"):
+        fit(mirrored, {name: (x, y + 0.1 * i, z) for i, (name, (x, y, z)) in enumerate(KNOWN.items())})
 
 
 def test_two_swapped_markers_do_not_fit_and_one_is_named() -> None:
     seen = seen_by_cameras(np.eye(3), np.zeros(3))
-    seen[6], seen[0] = seen[0], seen[6]
-    with pytest.raises(CalibrationError, match=r"fit only to .* marker \d+ is off by .*Check labels"):
+    seen["right_hand"], seen["right_hip"] = seen["right_hip"], seen["right_hand"]
+    with pytest.raises(CalibrationError, match=r"^right_(hand|hip) is off by .*Check the names"):
         fit(seen, KNOWN)
+
+
+def test_one_marker_that_came_off_is_named_though_all_others_fit() -> None:
+    known = {f"marker {i}": place for i, place in enumerate(np.random.default_rng(1).normal(size=(10, 3)).tolist())}
+    seen = dict(zip(known, Calibration().to_motive(np.array(list(known.values()))).tolist(), strict=True))
+    assert fit(seen, known).residual < 1e-9
+    seen["marker 7"][1] += 0.028
+    with pytest.raises(CalibrationError, match=r"^marker 7 is off by 2\d\.. mm, .* by [78]\.. mm \(root mean square"):
+        fit(seen, known)
+
+
+def test_errors_are_the_distances_that_the_fit_leaves() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 0.002, (len(KNOWN), 3))
+    seen = seen_by_cameras(np.eye(3), np.zeros(3), noise)
+    calibration = fit(seen, KNOWN)
+    errors = calibration.errors(seen, KNOWN)
+    assert errors.keys() == KNOWN.keys()
+    assert math.sqrt(np.mean(np.square(list(errors.values())))) == pytest.approx(calibration.residual)
 
 
 @pytest.mark.parametrize("places", [[0.0, 1.0], [0.0, 1.0, 2.0, 3.0]])
 def test_too_few_markers_or_markers_on_a_line_are_refused(places: list[float]) -> None:
-    line = {label: (place, 0.02 * (label % 2), 0.0) for label, place in enumerate(places)}
+    line = {f"marker {i}": (place, 0.02 * (i % 2), 0.0) for i, place in enumerate(places)}
     with pytest.raises(CalibrationError, match="needs 3 markers" if len(places) < 3 else "lie on a line within 9 mm"):
         fit(line, line)
 
@@ -81,7 +105,7 @@ def test_a_z_up_stream_is_refused() -> None:
 
 def test_a_position_without_value_is_refused() -> None:
     with pytest.raises(CalibrationError, match="not a number"):
-        fit({**KNOWN, 6: (math.nan, 0.0, 0.0)}, KNOWN)
+        fit({**KNOWN, "right_hand": (math.nan, 0.0, 0.0)}, KNOWN)
 
 
 def test_a_saved_calibration_is_read_back(tmp_path: Path) -> None:
@@ -184,9 +208,45 @@ def test_a_mocap_message_holds_the_seen_markers_in_the_world() -> None:
     message.encode()
 
 
+REST_LABELS = {(1, 1): 6, (1, 2): 7}
+REST_NAMES = {6: "right_hand", 7: "left_hand"}
+
+
+def rest_frames(*places: tuple[tuple[float, float, float] | None, ...]) -> list[m.Frame]:
+    """Return frames in which the markers are at these places; None is a marker that is not there."""
+    return [
+        m.Frame(number, 0.0, markers=tuple(m.LabelledMarker(1, i, p) for i, p in enumerate(frame, 1) if p is not None))
+        for number, frame in enumerate(places)
+    ]
+
+
+def test_markers_at_rest_are_at_their_mean_places_of_the_frames_that_saw_them() -> None:
+    frames = rest_frames(((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)), ((1.001, 2.0, 3.0), None))
+    found = rest_positions(frames, REST_LABELS, REST_NAMES, CalibrationLimits())
+    assert found == {"right_hand": pytest.approx((1.0005, 2.0, 3.0)), "left_hand": (0.0, 0.0, 0.0)}
+
+
+def test_markers_that_are_hidden_or_occluded_are_named() -> None:
+    seen = rest_frames(*[((0.0, 0.0, 0.0), None)] * 10)
+    with pytest.raises(CalibrationError, match=r"of 10 frames the cameras saw left_hand in 0; 50 % are needed"):
+        rest_positions(seen, REST_LABELS, REST_NAMES, CalibrationLimits())
+    guessed = m.Frame(0, 0.0, markers=tuple(m.LabelledMarker(1, i, (0.0, 0.0, 0.0), flags=m.OCCLUDED) for i in (1, 2)))
+    with pytest.raises(CalibrationError, match=r"saw right_hand in 0, left_hand in 4; "):
+        rest_positions(
+            [*[guessed] * 6, *rest_frames(*[(None, (0.0, 0.0, 0.0))] * 4)], REST_LABELS, REST_NAMES, CalibrationLimits()
+        )
+
+
+def test_marker_that_moves_is_named() -> None:
+    frames = rest_frames(*[((0.0, 0.0, 0.0), (0.0, 0.001 * i, 0.0)) for i in range(20)])
+    with pytest.raises(CalibrationError, match=r"left_hand moved by 5\.8 mm .* let the robot rest"):
+        rest_positions(frames, REST_LABELS, REST_NAMES, CalibrationLimits())
+
+
 def test_the_real_system_can_be_calibrated_with_its_rigid_body() -> None:
     labels = find_labels(ALL_OF_RACE_QUAD, recording().definitions)
-    seen = mean_positions(frames()[:1], labels)
+    names = {label: name for name, label in ALL_OF_RACE_QUAD.markers.items()}
+    seen = rest_positions(frames()[:1], labels, names, CalibrationLimits())
     body = frames()[0].rigid_bodies[0]
     definition = recording().definitions.definitions[0]
     assert isinstance(definition, m.RigidBodyDefinition)
@@ -194,7 +254,7 @@ def test_the_real_system_can_be_calibrated_with_its_rigid_body() -> None:
     # This system's models have x the other way round than its frames.
     offsets = np.array([marker.position for marker in definition.markers]) * (-1.0, 1.0, 1.0)
     places = Rotation.from_quat(body.quaternion).apply(offsets) @ Z_UP.T
-    known = {label: tuple(places[marker_id - 1]) for (_, marker_id), label in labels.items()}
+    known = {names[label]: tuple(places[marker_id - 1]) for (_, marker_id), label in labels.items()}
     calibration = fit(seen, known)
     assert calibration.residual < 0.002
     np.testing.assert_allclose(calibration.rotation, Z_UP, atol=0.02)

@@ -1,0 +1,60 @@
+"""Where the cameras' frame lies, from the robot itself: its markers in the ready pose are at known places."""
+
+import select
+import time
+
+from imolo.errors import CalibrationError
+from imolo_backends.liberobot import ready_markers
+from imolo_drivers.natnet.calibration import Calibration, CalibrationLimits, fit
+from imolo_drivers.natnet.client import NatNetClient
+from imolo_drivers.natnet.config import NatNetConfig
+from imolo_drivers.natnet.markers import find_labels, rest_positions
+from imolo_drivers.natnet.messages import Frame, ModelDefinitions
+
+POLL = 0.05  # [s] between two looks whether to go on waiting
+
+
+def calibrate(cameras: NatNetConfig, seconds: float, patience: float) -> tuple[Calibration, dict[str, float]]:
+    """Watch the robot at rest in its ready pose, and fit where the cameras' frame lies.
+
+    Args:
+        cameras: How they are reached, and what their markers are called.
+        seconds: How long to watch [s].
+        patience: How long to wait for the first frame [s].
+
+    Returns:
+        The calibration, and how far each marker is from where it should be, by name [m].
+
+    Raises:
+        NatNetError: The cameras cannot be understood, or do not know the robot.
+        CalibrationError: There are no frames, a marker is hidden or moves, or the markers do not fit.
+    """
+    with NatNetClient(cameras) as client:
+        definitions, frames = _watch(client, cameras, seconds, patience)
+    known, limits = ready_markers(), CalibrationLimits()
+    names = {label: name for name, label in cameras.labels.markers.items() if name in known}
+    measured = rest_positions(frames, find_labels(cameras.labels, definitions), names, limits)
+    calibration = fit(measured, known, limits)
+    return calibration, calibration.errors(measured, known)
+
+
+def _watch(
+    client: NatNetClient, cameras: NatNetConfig, seconds: float, patience: float
+) -> tuple[ModelDefinitions, list[Frame]]:
+    """Return the models that Motive streams, and its frames of some seconds from the first one on."""
+    frames: list[Frame] = []
+    end = time.monotonic() + patience
+    while (now := time.monotonic()) < end:
+        select.select((client,), (), (), min(POLL, end - now))
+        began = bool(frames)
+        # Without the models nobody knows which marker is which.
+        new = client.poll(time.monotonic())
+        frames += new if client.definitions is not None else []
+        if frames and not began:
+            end = time.monotonic() + seconds
+    if client.definitions is None or not frames:
+        raise CalibrationError(
+            f"no frames from Motive at {cameras.server_address}:{cameras.command_port} within {patience:g} s; is it "
+            "streaming, and is cameras.local_address the network card towards it?"
+        )
+    return client.definitions, frames
