@@ -234,7 +234,7 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
                     "outcome": trial.result.outcome,
                     "path": _relative(trial.log_path, out),
                     "voxel": config.methods[trial.method].grid.spacing,
-                    **trial_tracks(log, config.robot.hand_marker),
+                    **trial_tracks(log, config.robot),
                 }
             )
             robots.update(event.robot for event in log.messages[channels.TRIAL] if event.robot)

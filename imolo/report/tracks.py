@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from imolo import channels
 from imolo.backend import EventName
-from imolo.experiment.recordings import marker_track
+from imolo.config.experiment import RobotConfig
+from imolo.experiment.recordings import last_plan, marker_track
 from imolo.log import Log
 from imolo_msgs import marker_t, plan_t
 
@@ -23,7 +24,7 @@ STEPS = 32767  # on each side of zero: int16
 SLACK = 1e-4  # [s] messages are stamped on a grid of 1 ms, so a step may be that much short of the rate's
 
 
-def trial_tracks(log: Log, hand_marker: int) -> Packed:
+def trial_tracks(log: Log, robot: RobotConfig) -> Packed:
     """Return the motion in a log.
 
     Robot and ball come from the simulation's truth. Where there is none, as from a real robot, the markers and the
@@ -31,12 +32,14 @@ def trial_tracks(log: Log, hand_marker: int) -> Packed:
 
     Args:
         log: Of one trial.
-        hand_marker: Label of the hand that is to hit the ball.
+        robot: Whose hand is which marker.
 
     Returns:
         `duration` [s], `events` and, where the log has them, `robot`, `hand`, `ball`, `markers` and `plans`; numbers
-        are packed by `pack`.
+        are packed by `pack`. `hand` is the one that was to hit the ball in the end.
     """
+    plan = last_plan(log)
+    side = -1 if plan is not None and plan.hitting_hand < 0 else 1
     events = [[round(event.utime * 1e-6, 6), event.event] for event in log.messages[channels.TRIAL]]
     tracks: Packed = {"events": events}
     truth = thinned(log.messages[channels.TRUTH_ROBOT], RATE)
@@ -47,10 +50,11 @@ def trial_tracks(log: Log, hand_marker: int) -> Packed:
             "turn": pack(_continuous(np.array([message.trunk_quaternion for message in truth]))),
             "angle": pack([message.joint_angle for message in truth]),
         }
-        tracks["hand"] = {"time": pack(_times(truth)), "position": pack([t.right_hand_position for t in truth])}
+        hands = [t.right_hand_position if side == 1 else t.left_hand_position for t in truth]
+        tracks["hand"] = {"time": pack(_times(truth)), "position": pack(hands)}
     elif log.messages[channels.MOCAP]:
         tracks["markers"] = _markers(log)
-        seen, hand = marker_track(log, hand_marker)
+        seen, hand = marker_track(log, robot.hand_marker if side == 1 else robot.other_hand_marker)
         if len(seen):
             tracks["hand"] = {"time": pack(seen), "position": pack(hand)}
     ball = _ball(log)

@@ -64,7 +64,7 @@ def _trial(ball: int, outcome: str) -> TrialResult:
     )
 
 
-def write_log(path: Path, ball: int, truth: bool = True) -> None:
+def write_log(path: Path, ball: int, truth: bool = True, hitting_hand: int = 1) -> None:
     """Write a trial in which the trunk rises 1 m, the ball comes 5 m nearer, and a plan is made at half the time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     log = lcm.EventLog(str(path), "w", overwrite=True)
@@ -73,13 +73,14 @@ def write_log(path: Path, ball: int, truth: bool = True) -> None:
         if truth:
             robot = truth_robot_t()
             robot.utime, robot.trunk_position, robot.trunk_quaternion = utime, (0.0, 0.0, share), (1.0, 0.0, 0.0, 0.0)
+            robot.right_hand_position, robot.left_hand_position = (0.0, -0.16, share), (0.0, 0.16, share)
             flight = truth_ball_t()
             flight.utime, flight.true_ball_position = utime, (5.0 - 5.0 * share, 0.0, 1.5)
             log.write_event(utime, channels.TRUTH_ROBOT, robot.encode())
             log.write_event(utime, channels.TRUTH_BALL, flight.encode())
         if utime % 8000 == 0:
             log.write_event(utime, channels.MOCAP, _frame(utime, share).encode())
-    log.write_event(END // 2, channels.PLAN, _plan(END // 2).encode())
+    log.write_event(END // 2, channels.PLAN, _plan(END // 2, hitting_hand).encode())
     for name, utime in (("start", 0), ("throw", 100_000), ("hit", 900_000), ("end", END)):
         event = trial_event_t()
         event.utime, event.event, event.robot, event.trial = utime, name, "liberobot", ball
@@ -90,7 +91,11 @@ def write_log(path: Path, ball: int, truth: bool = True) -> None:
 def _frame(utime: int, share: float) -> mocap_frame_t:
     frame = mocap_frame_t()
     frame.utime = utime
-    for label, position in ((6, (0.0, -0.16, share)), (marker_t.UNLABELLED, (5.0 - 5.0 * share, 0.0, 1.5))):
+    for label, position in (
+        (6, (0.0, -0.16, share)),
+        (7, (0.0, 0.16, share)),
+        (marker_t.UNLABELLED, (5.0 - 5.0 * share, 0.0, 1.5)),
+    ):
         marker = marker_t()
         marker.marker_id, marker.marker_position = label, position
         frame.markers.append(marker)
@@ -98,10 +103,10 @@ def _frame(utime: int, share: float) -> mocap_frame_t:
     return frame
 
 
-def _plan(utime: int) -> plan_t:
+def _plan(utime: int, hitting_hand: int) -> plan_t:
     plan = plan_t()
     plan.utime, plan.state, plan.plan_onset_utime, plan.target_position = utime, plan_t.STARTED, utime, (1.0, -0.2, 1.6)
-    plan.prediction_step = 0.01
+    plan.prediction_step, plan.hitting_hand = 0.01, hitting_hand
     # The last of these are below the floor.
     plan.predicted_position = [(2.0, 0.0, 1.5 - 0.02 * i) for i in range(90)]
     plan.num_predictions = len(plan.predicted_position)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from results_folder import END, write_log
 
 from imolo.backend import RobotDescription
+from imolo.config.experiment import RobotConfig
 from imolo.errors import ResultsError
 from imolo.log import read_log
 from imolo.registry import describe_robot
@@ -16,7 +17,7 @@ from imolo.report.robot_shapes import robot_shapes
 from imolo.report.tracks import PATH_STEP, RATE, STEPS, pack, trial_tracks, unpack
 from imolo_backends.urdf import read_urdf
 
-HAND = 6  # label of the hand in the logs made by hand
+ROBOT = RobotConfig()
 
 # Below this a step of the largest number over 32767 is no normal number any more.
 NUMBERS = st.floats(-1e3, 1e3).filter(lambda value: value == 0.0 or abs(value) > 1e-290)
@@ -34,7 +35,7 @@ def test_packed_numbers_are_right_to_half_a_step(rows: list[tuple[float, float, 
 
 def test_poses_are_thinned_but_reach_from_the_first_to_the_last(tmp_path: Path) -> None:
     write_log(tmp_path / "trial.lcmlog", 0)
-    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)
+    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), ROBOT)
     time = unpack(tracks["robot"]["time"])
     step = tracks["robot"]["time"]["step"]
     assert abs(time[0]) <= step
@@ -47,7 +48,7 @@ def test_poses_are_thinned_but_reach_from_the_first_to_the_last(tmp_path: Path) 
 
 def test_predicted_path_ends_at_the_floor(tmp_path: Path) -> None:
     write_log(tmp_path / "trial.lcmlog", 0)
-    plans = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)["plans"]
+    plans = trial_tracks(read_log(tmp_path / "trial.lcmlog"), ROBOT)["plans"]
     path = unpack(plans["path"])
     every = round(PATH_STEP / 0.01)
     above = [1.5 - 0.02 * i for i in range(90) if 1.5 - 0.02 * i >= -1e-9]
@@ -57,14 +58,22 @@ def test_predicted_path_ends_at_the_floor(tmp_path: Path) -> None:
 
 def test_log_without_truth_shows_its_markers(tmp_path: Path) -> None:
     write_log(tmp_path / "trial.lcmlog", 0, truth=False)
-    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), HAND)
+    tracks = trial_tracks(read_log(tmp_path / "trial.lcmlog"), ROBOT)
     assert "robot" not in tracks
     time = unpack(tracks["markers"]["time"])
-    assert tracks["markers"]["count"] == [1] * len(time)  # the ball is no marker of the robot
+    assert tracks["markers"]["count"] == [2] * len(time)  # the ball is no marker of the robot
     position = unpack(tracks["markers"]["position"])
-    assert np.all(np.abs(position[:, 2] - time) <= tracks["markers"]["position"]["step"])
+    assert np.all(np.abs(position[::2, 2] - time) <= tracks["markers"]["position"]["step"])
     hand = unpack(tracks["hand"]["position"])
     assert np.all(np.abs(hand[:, 2] - unpack(tracks["hand"]["time"])) <= tracks["hand"]["position"]["step"])
+
+
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize(("hitting_hand", "y"), [(1, -0.16), (-1, 0.16)])
+def test_hand_is_the_one_that_was_to_hit(tmp_path: Path, truth: bool, hitting_hand: int, y: float) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0, truth=truth, hitting_hand=hitting_hand)
+    hand = trial_tracks(read_log(tmp_path / "trial.lcmlog"), ROBOT)["hand"]["position"]
+    assert np.all(np.abs(unpack(hand)[:, 1] - y) <= hand["step"])
 
 
 def test_shapes_are_those_of_the_urdf_with_parents_first() -> None:

@@ -357,7 +357,7 @@ class Player {
     for (const [trial, readout] of this.readouts) {
       const motion = this.motion(trial), plan = motion.planAt(this.time), hand = motion.handAt(this.time);
       const parts = plan ? [plan.state] : [];
-      if (plan && plan.target && hand) parts.push(`hand ${Math.round(1e3 * Math.hypot(...hand.map((value, i) => value - plan.target[i])))} mm off`);
+      if (plan && plan.target && hand) parts.push(`hand ${Math.round(1e3 * Math.hypot(...hand.map((value, i) => value - plan.target[i])))} mm from target`);
       readout.textContent = parts.join(" · ") || "\u00a0";
     }
     const shown = this.group.filter((trial) => !this.hidden.has(trial.backend)).map((trial) => (/[^\w./-]/.test(trial.path) ? `'${trial.path}'` : trial.path));
