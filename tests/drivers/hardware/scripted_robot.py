@@ -5,15 +5,19 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imolo.backend import Trial, TrialKind
+from imolo import channels
+from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
+from imolo.experiment.trainer import MotionPlayer
 from imolo.experiment.trial import Controller, run_trial
 from imolo.log import Log, read_log
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.registry import load_backend
 from imolo_drivers.board import BoardConfig
 from imolo_drivers.board_server import BoardServer, monotonic_utime
@@ -31,6 +35,7 @@ from imolo_drivers.valve_io import SimulatedValves
 from imolo_msgs import board_trial_t
 
 PATIENCE = 10.0  # [s]
+THETA = Theta(0.5, 0.25)
 RATE = 120.0  # [Hz]
 NAMES = (
     *("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle"),
@@ -164,3 +169,18 @@ def memory_bus() -> Bus:
 def _definitions() -> ModelDefinitions:
     markers = tuple(AssetMarkerDefinition(name, label + 1, (0.0, 0.0, 0.0)) for label, name in enumerate(NAMES))
     return ModelDefinitions((AssetDefinition("liberobot", 0, 1, (), markers),))
+
+
+def player() -> MotionPlayer:
+    return MotionPlayer(MotionTemplate(), THETA)
+
+
+def events(log: Log) -> list[str]:
+    return [event.event for event in log.messages[channels.TRIAL]]
+
+
+def void(log_path: Path) -> str:
+    """Return why the trial of a log is void."""
+    end = read_log(log_path).messages[channels.TRIAL][-1]
+    assert end.event == EventName.END
+    return str(end.detail.partition("void: ")[2])

@@ -1,57 +1,41 @@
 """The robot as a backend, against a board and a Motive that fail as told: never a hang, and the log is kept."""
 
-import contextlib
-import dataclasses
-import logging
-import math
 import re
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted_robot import BODY, NAMES, backend, config, marker, memory_bus, play, scripted_robot
+from scripted_robot import (
+    BODY,
+    backend,
+    config,
+    events,
+    memory_bus,
+    play,
+    player,
+    scripted_robot,
+    void,
+)
 
 from imolo import channels
 from imolo.backend import EventName, Trial, TrialKind
 from imolo.bus import Bus
-from imolo.errors import BackendError, ConfigError, NatNetError, NatNetVersionError, TrialVoidError
+from imolo.errors import BackendError, ConfigError, TrialVoidError
 from imolo.experiment.campaign import TrialTask, run_tasks
-from imolo.experiment.trainer import START_MARGIN, MotionPlayer
+from imolo.experiment.trainer import START_MARGIN
 from imolo.experiment.trial import Bystander
 from imolo.live.backend_program import BackendProgram
 from imolo.live.identity import ClockMode
 from imolo.live.program import Console, Stop
-from imolo.log import Log, read_log
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.log import read_log
 from imolo.registry import ready_simulations
-from imolo_drivers import hardware_backend
 from imolo_drivers.board import VENTED_PRESSURE
-from imolo_drivers.board_server import monotonic_utime
-from imolo_drivers.natnet.config import NatNetConfig
-from imolo_drivers.natnet.encoder import encode
-from imolo_drivers.natnet.messages import Frame, LabelledMarker
+from imolo_drivers.natnet.messages import LabelledMarker
 from imolo_msgs import mocap_frame_t
 
-THETA = Theta(0.5, 0.25)
 Markers = list[LabelledMarker]
-
-
-def player() -> MotionPlayer:
-    return MotionPlayer(MotionTemplate(), THETA)
-
-
-def events(log: Log) -> list[str]:
-    return [event.event for event in log.messages[channels.TRIAL]]
-
-
-def void(log_path: Path) -> str:
-    """Return why the trial of a log is void."""
-    end = read_log(log_path).messages[channels.TRIAL][-1]
-    assert end.event == EventName.END
-    return str(end.detail.partition("void: ")[2])
 
 
 def test_motion_reaches_the_valves_and_the_streams_come_back(tmp_path: Path) -> None:
@@ -245,150 +229,6 @@ def test_controller_that_computes_too_long_cannot_pass_for_a_trial(tmp_path: Pat
 
     with scripted_robot(watchdog=0.1) as robot, pytest.raises(TrialVoidError, match="latched: nothing heard"):
         play(config(robot), tmp_path / "log", Bystander(), 0.3, after_slice=think)
-
-
-def test_stalled_cameras_are_reported_and_void_the_trial(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    def stall(elapsed: float, markers: Markers) -> Markers | None:
-        return markers if not 0.15 < elapsed < 10.0 else None
-
-    with scripted_robot(stall) as robot, pytest.raises(TrialVoidError, match="no camera frame for 2"):
-        play(config(robot), tmp_path / "log", player(), 1.0)
-    assert "no camera frame for" in void(tmp_path / "log")
-    (report,) = (record for record in caplog.records if "no camera frame" in record.message)
-    silence = float(re.findall(r"for (\d+) ms", report.message)[0])
-    assert silence >= round(1e3 * NatNetConfig().silence_limit)
-
-
-class VirtualTime:
-    """A clock that only waiting moves, and that nothing interrupts."""
-
-    def __init__(self) -> None:
-        self.now = monotonic_utime()
-        self.waits = 0
-
-    def utime(self) -> int:
-        return self.now
-
-    def select(self, _reading: object, _writing: object, _failing: object, timeout: float) -> tuple[list[int], ...]:
-        self.waits += 1
-        assert self.waits < 1000, "the backend does not wait"
-        self.now += math.ceil(timeout * 1e6)
-        return [], [], []
-
-
-@pytest.mark.parametrize("step", [1_000, 7_000, 10_000_000])
-def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of_patience(
-    step: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However long the backend is asked to wait: in virtual time it wakes up when it is due, to the microsecond."""
-    covered = threading.Event()
-
-    def cover(_: float, markers: Markers) -> Markers | None:
-        return None if covered.is_set() else markers
-
-    with scripted_robot(cover) as robot:
-        one = backend(config(robot, board_silence=60.0))
-
-        def go_on() -> None:
-            while True:
-                one.advance(one.utime + step)
-
-        one.start(memory_bus(), Trial(TrialKind.THROW, 0, 1))
-        covered.set()
-        one.advance(one.utime + 20_000)  # what was on its way has come
-        virtual = VirtualTime()
-        monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
-        monkeypatch.setattr(hardware_backend, "select", virtual)
-        last = round(one._cameras.heard * 1e6)
-        with contextlib.closing(one), pytest.raises(TrialVoidError, match="no camera frame for 250 ms"):
-            go_on()
-        (report,) = caplog.messages
-        found = re.fullmatch(r"no camera frame for 35 ms at (\d+) us", report)
-        assert found is not None
-        told = one._begin + int(found[1])
-        assert 0 <= told - last - 35_000 <= 2  # a rounded microsecond at each end
-        assert 0 <= virtual.now - last - 250_000 <= 2
-
-
-def test_short_stall_is_reported_once_and_the_trial_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    def stall(elapsed: float, markers: Markers) -> Markers | None:
-        return markers if not 0.10 < elapsed < 0.22 else None
-
-    with scripted_robot(stall) as robot:
-        log = play(config(robot, camera_patience=5.0), tmp_path / "log", player(), START_MARGIN + 0.4)
-    assert caplog.text.count("no camera frame for") == 1
-    assert events(log)[-1] == EventName.END
-
-
-def swapped(elapsed: float, markers: Markers) -> Markers:
-    """Let the two hands bear each other's name from some time on."""
-    if not 0.15 < elapsed < 10.0:
-        return markers
-    other = {7: 8, 8: 7}
-    return [
-        dataclasses.replace(one, marker_id=other.get(one.marker_id, one.marker_id)) if one.model_id else one
-        for one in markers
-    ]
-
-
-def test_markers_that_swap_their_names_get_them_back(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert (NAMES[6], NAMES[7]) == ("right_hand", "left_hand")
-    with scripted_robot(swapped) as robot:
-        log = play(config(robot), tmp_path / "log", Bystander(), 0.5)
-    for frame in log.messages[channels.MOCAP]:
-        seen = {m.marker_id: m.marker_position for m in frame.markers}
-        assert np.allclose([seen[6], seen[7]], [BODY[6], BODY[7]], atol=1e-6)
-    assert caplog.text.count("their labels are corrected") == 1
-
-
-def test_marker_that_jumps_alone_is_left_out(tmp_path: Path) -> None:
-    def jump(elapsed: float, markers: Markers) -> Markers:
-        if 0.1 < elapsed < 0.13:
-            return [
-                marker(1, 7, (1.5, 1.0, 0.3)) if (one.model_id, one.marker_id) == (1, 7) else one for one in markers
-            ]
-        return markers
-
-    with scripted_robot(jump) as robot:
-        log = play(config(robot), tmp_path / "log", Bystander(), 0.3)
-    hands = [m.marker_position for f in log.messages[channels.MOCAP] for m in f.markers if m.marker_id == 6]
-    assert np.allclose(hands, BODY[6], atol=1e-6)
-    assert len(hands) < len(log.messages[channels.MOCAP])
-
-
-def test_truncated_and_foreign_packets_are_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    whole = encode(Frame(1, 0.0, 0, tuple(marker(1, n, (0, 0, 0)) for n in range(1, 5))), (4, 1))
-    with scripted_robot() as robot:
-
-        def disturb(utime: int) -> None:
-            robot.packets += [whole[: utime % len(whole)], b"\x07\x00\xff\xff", bytes(5)]
-
-        log = play(config(robot), tmp_path / "log", player(), START_MARGIN + 0.2, after_slice=disturb)
-    assert events(log) == [EventName.START, EventName.ONSET, EventName.END]
-    assert int(re.findall(r"(\d+) packets unreadable", caplog.text)[0]) > 0
-
-
-# What does not begin.
-
-
-def test_unknown_version_of_natnet_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with scripted_robot() as robot:
-        info = dataclasses.replace(robot.motive._info, natnet_version=(5, 0))
-        monkeypatch.setattr(robot.motive, "_info", info)
-        with pytest.raises(NatNetVersionError, match=r"5\.0"):
-            play(config(robot), tmp_path / "log", player())
-        assert robot.server.board.state.name == "VENTED"
-
-
-def test_no_cameras_are_told(tmp_path: Path) -> None:
-    with scripted_robot() as robot, pytest.raises(BackendError, match=r"no frames from Motive at 127\.0\.0\.1:1 "):
-        play(config(robot, patience=0.3, cameras={"command_port": 1}), tmp_path / "log", player())
-
-
-def test_missing_asset_is_told(tmp_path: Path) -> None:
-    with scripted_robot() as robot, pytest.raises(NatNetError, match="no asset 'robot'"):
-        play(config(robot, cameras={"labels": {"asset": "robot"}}), tmp_path / "log", player())
 
 
 def test_no_board_is_told(tmp_path: Path) -> None:
