@@ -55,7 +55,7 @@ def _sensitivity_rate(velocity: Array, constants: Array, sensitivity: Array, rat
     rate[3, 6] -= speed * vx
     rate[4, 6] -= speed * vy
     rate[5, 6] -= speed * vz
-    if len(constants) > 1:
+    if len(constants) > 1:  # (ω × v)_x = ω_y v_z - ω_z v_y, and so on
         rate[3, 8] += vz
         rate[3, 9] -= vy
         rate[4, 7] -= vz
