@@ -14,8 +14,8 @@ from rich.table import Table
 from benchmarks import campaign, hardware, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
-from imolo.experiment.results import installed_versions
-from imolo.registry import backend_status
+from imolo.campaigns.results import installed_versions
+from imolo.contracts.registry import backend_status
 
 VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
 

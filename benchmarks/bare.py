@@ -10,16 +10,16 @@ import mujoco  # noqa: TID251 - this is what the engine's module is measured aga
 import numpy as np
 
 from imolo.config.model import Model
-from imolo.registry import backend_status
-from imolo_backends.dart_engine import DartEngine
-from imolo_backends.engine import Array, Engine, Scene
-from imolo_backends.mujoco_engine import MujocoEngine
-from imolo_backends.pybullet_engine import PybulletEngine, pybullet
+from imolo.contracts.engine import Array, Engine, Scene
+from imolo.contracts.registry import backend_status
+from imolo_backends.engines.dart_engine import DartEngine
+from imolo_backends.engines.mujoco_engine import MujocoEngine
+from imolo_backends.engines.pybullet_engine import PybulletEngine, pybullet
 
 ENGINES: dict[str, type[Any]] = {"mujoco": MujocoEngine, "pybullet": PybulletEngine, "dart": DartEngine}
 
 if not backend_status("ode").problem:
-    from imolo_backends.ode_engine import OdeEngine, ode
+    from imolo_backends.engines.ode_engine import OdeEngine, ode
 
     ENGINES["ode"] = OdeEngine
 

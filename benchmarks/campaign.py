@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measurement import Measurement
+from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.experiment.campaign import learning_tasks, run_tasks
 
 REPEATS = 3
 LEAST_SPEED_UP = 1.8  # on 2 cores

@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measurement import Measurement
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
+from imolo.campaigns.campaign import TrialTask, hit_tasks, run_task
 from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import EventName, Trial, TrialKind
 from imolo.errors import TrialVoidError
-from imolo.experiment.campaign import TrialTask, hit_tasks, run_task
-from imolo.experiment.trial import Bystander, run_trial
-from imolo.log import Log, read_log
+from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
+from imolo.messaging import channels
+from imolo.messaging.log import Log, read_log
 from imolo.method.motion import NUM_VALVES, Commands
-from imolo.priority import BACKEND_PRIORITY, claimed_priority
+from imolo.trials.trial import Bystander, run_trial
 from imolo_drivers import hardware_backend
 from imolo_drivers.board import BoardConfig, BoardState
 from imolo_drivers.board_client import BoardClient
@@ -42,7 +42,7 @@ RATE = 120.0  # [Hz] of the commands, one per camera frame
 PHASES = 40  # in a motion; each one has another pressure
 PHASE = 20_000  # [µs]
 MOTIONS = 10
-IMOLO = (sys.executable, "-m", "imolo.cli")
+IMOLO = (sys.executable, "-m", "imolo.command_line.main")
 BALLS, MISSES = 20, 4
 OLDEST = 0.05  # [s] frames come every 8.3 ms, 5 ms after their exposure
 MOST_TRIALS = 3  # for each ball, on average

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from imolo.backend import TrialKind
 from imolo.ball.model import BallModel
+from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.experiment.campaign import learning_tasks, run_tasks
-from imolo.experiment.learning import learn_ball, learn_motions
+from imolo.contracts.backend import TrialKind
 from imolo.method.forward_model import TrainingData
+from imolo.trials.learning import learn_ball, learn_motions
 
 
 @dataclass(frozen=True)

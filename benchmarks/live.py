@@ -14,8 +14,8 @@ import numpy as np
 import yaml
 
 from benchmarks.measurement import Measurement
-from imolo import channels
-from imolo.log import read_log
+from imolo.messaging import channels
+from imolo.messaging.log import read_log
 
 BALLS = 20
 TIMESTEP = 2.5e-4  # [s]
@@ -104,7 +104,7 @@ def _latencies(path: Path) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
 
 def _session(inside: list[str], config: Path, table_path: Path, method: str, out: Path) -> str:
     """Run backend (on the last core), planner and recorder, throw the balls; return what they printed."""
-    imolo = [*inside, sys.executable, "-m", "imolo.cli"]
+    imolo = [*inside, sys.executable, "-m", "imolo.command_line.main"]
     core = str(max(os.sched_getaffinity(0)))
     commands = (
         [*imolo, "record", "--out", out / "session.lcmlog", "--bus", URL],

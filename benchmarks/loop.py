@@ -8,12 +8,12 @@ import numpy as np
 
 from benchmarks.bare import recording
 from benchmarks.measurement import Measurement
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
-from imolo.bus import Bus
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.experiment.trial import run_trial
+from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.motion import MotionTemplate, Theta
+from imolo.trials.trial import run_trial
 from imolo_msgs import mocap_frame_t, trial_event_t
 
 TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.7}

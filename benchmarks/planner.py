@@ -7,11 +7,11 @@ import numpy as np
 
 from benchmarks.learned import Learned
 from benchmarks.measurement import Measurement
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
-from imolo.experiment.campaign import hit_tasks, run_tasks
-from imolo.log import Log, read_log
+from imolo.campaigns.campaign import hit_tasks, run_tasks
+from imolo.contracts.backend import EventName
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import Log, read_log
 from imolo.method.planner import Planner
 from imolo.method.table import LookupTable
 

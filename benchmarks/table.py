@@ -10,9 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.learned import Learned
 from benchmarks.measurement import Measurement
-from imolo.experiment.learning import build_table
 from imolo.method.motion import Theta
 from imolo.method.table import Executed, LookupTable
+from imolo.trials.learning import build_table
 
 Array = NDArray[np.float64]
 Ask = Callable[[Array, float, Executed], object]

@@ -12,11 +12,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from imolo.backend import TrialKind
+from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import METHODS, ExperimentConfig
-from imolo.experiment.campaign import learning_tasks, run_tasks
-from imolo.experiment.learning import learn_motions
+from imolo.contracts.backend import TrialKind
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, TrainingData
+from imolo.trials.learning import learn_motions
 
 GRID = [(k, t_w) for k in np.linspace(-1.0, 1.0, 7).tolist() for t_w in np.linspace(0.21, 0.41, 7).tolist()]
 MODELS = {

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from command_line import Run
 
-from imolo.cli import main
+from imolo.command_line.main import main
 
 
 @pytest.fixture

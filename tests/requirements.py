@@ -10,7 +10,7 @@ from ctypes.util import find_library
 
 import pytest
 
-from imolo.registry import backend_status
+from imolo.contracts.registry import backend_status
 
 
 def _programs(package: str, *names: str) -> str:

@@ -4,12 +4,12 @@ import select
 import time
 
 from imolo.errors import CalibrationError
-from imolo_backends.liberobot import ready_markers
 from imolo_drivers.natnet.calibration import Calibration, CalibrationLimits, fit
 from imolo_drivers.natnet.client import NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.markers import find_labels, rest_positions
 from imolo_drivers.natnet.messages import Frame, ModelDefinitions
+from imolo_robots.liberobot.body import ready_markers
 
 POLL = 0.05  # [s] between two looks whether to go on waiting
 

@@ -30,7 +30,7 @@ def board(
     """
     from imolo.config.reading import read_model
     from imolo.live.program import Console, in_background, until_stopped
-    from imolo.priority import BOARD_PRIORITY, claim_priority
+    from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
     from imolo_drivers.board_server import BoardServer
@@ -129,9 +129,9 @@ def calibrate(
     """
     from imolo.config.experiment import load_config
     from imolo.errors import ConfigError
-    from imolo_backends.liberobot import ROBOT_NAME
     from imolo_drivers.calibrate import calibrate as watch_and_fit
     from imolo_drivers.hardware_backend import HardwareOptions
+    from imolo_robots.liberobot.body import ROBOT_NAME
 
     chosen = load_config(config)
     options = chosen.backend_options()
@@ -167,7 +167,7 @@ def emulate(
     from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
     from imolo.config.simulation import SimulationConfig
     from imolo.live.program import Console, in_background, until_stopped
-    from imolo.priority import BOARD_PRIORITY, claim_priority
+    from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
     from imolo_drivers.board import BoardConfig
     from imolo_drivers.emulator import EmulatedRobot

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imolo import channels
-from imolo.backend import Backend, EventName, Trial, TrialKind
-from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import Backend, EventName, Trial, TrialKind
+from imolo.contracts.registry import load_backend
 from imolo.errors import BackendError, DivergenceError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.motion import NUM_VALVES, Commands
-from imolo.registry import load_backend
-from imolo_backends.liberobot import MARKERS, ROBOT_NAME
 from imolo_drivers.board import BoardConfig, BoardState
 from imolo_drivers.board_server import BoardServer, monotonic_utime
 from imolo_drivers.natnet.calibration import Calibration
@@ -32,6 +31,7 @@ from imolo_drivers.natnet.messages import (
 )
 from imolo_drivers.natnet.server import NatNetServer
 from imolo_msgs import board_trial_t, marker_t, mocap_frame_t, trial_event_t, valve_pressure_t
+from imolo_robots.liberobot.body import MARKERS, ROBOT_NAME
 
 logger = logging.getLogger(__name__)
 

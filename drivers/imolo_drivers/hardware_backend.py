@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from imolo import channels
-from imolo.backend import Backend, BackendPlugin, EventName, Trial, TrialKind
-from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Model, NonNegative, Positive
+from imolo.contracts.backend import Backend, BackendPlugin, EventName, Trial, TrialKind
 from imolo.errors import BackendError, MessageError, NatNetError, TrialVoidError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.motion import Commands, to_microseconds
 from imolo_drivers.address import parse_address
 from imolo_drivers.board import BoardState

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
-from imolo.backend import EventName
 from imolo.ball.aerodynamic import AerodynamicBallModel
 from imolo.ball.tracker import BallTracker, BallTrackerConfig, made_up_flight
 from imolo.config.model import Model, NonNegative, Positive, Vector
 from imolo.config.simulation import BallConfig
+from imolo.contracts.backend import EventName
 from imolo_msgs import marker_t, mocap_frame_t
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from imolo.config.model import Model, Positive
 from imolo.errors import BackendError, MissingToolError, did_you_mean
-from imolo.extras import import_extra
+from imolo.machine.extras import import_extra
 from imolo.method.motion import NUM_VALVES
 
 _Channels = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=NUM_VALVES, max_length=NUM_VALVES)]

@@ -12,12 +12,12 @@ from imolo.ball.tracker import BallTrackerConfig
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.reading import explain, read_model
 from imolo.config.simulation import SimulationConfig
+from imolo.contracts.registry import load_backend
 from imolo.errors import ConfigError
 from imolo.method.forward_model import GPR, ForwardModelConfig
 from imolo.method.motion import TRAINING_MOTIONS, MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
 from imolo.method.table import TableGrid
-from imolo.registry import load_backend
 
 
 class BackendConfig(Model):

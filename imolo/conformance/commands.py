@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from imolo.command_options import CORES, Jobs
-from imolo.terminal import ProgressBars, console, say
+from imolo.command_line.options import CORES, Jobs
+from imolo.command_line.terminal import ProgressBars, console, say
 
 app = typer.Typer()
 

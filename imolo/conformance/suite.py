@@ -8,12 +8,12 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 from pathlib import Path
 from typing import Any
 
-from imolo.backend import BackendPlugin
 from imolo.config.experiment import load_config
 from imolo.config.model import Model
 from imolo.conformance.check import Check, Outcome, Verdict, run_check
+from imolo.contracts.backend import BackendPlugin
+from imolo.contracts.registry import GROUP, load_backend, ready_simulations
 from imolo.errors import ConfigError, did_you_mean
-from imolo.registry import GROUP, load_backend, ready_simulations
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imolo.command_line.terminal import INTERRUPTED, console, say
 from imolo.errors import ConfigError, did_you_mean
-from imolo.terminal import INTERRUPTED, console, say
-from imolo.udpm import LOCAL_URL
+from imolo.messaging.udpm import LOCAL_URL
 
 if TYPE_CHECKING:
     from imolo.inspect.diff import RunComparison
@@ -98,7 +98,7 @@ def diff(
     if out is not None:
         from imolo.inspect.divergence import draw_divergence
         from imolo.inspect.plot import save_figure
-        from imolo.log import read_log
+        from imolo.messaging.log import read_log
 
         save_figure(draw_divergence(read_log(first), read_log(second), result.first), out)
         say(f"the figure is {out}")
@@ -117,7 +117,7 @@ def export(
     """Turn a log into MCAP, or into a CSV or Parquet table for each channel."""
     from imolo.inspect.export import ExportFormat
     from imolo.inspect.export import export as write
-    from imolo.log import read_log
+    from imolo.messaging.log import read_log
 
     known = [each.value for each in ExportFormat]
     if to not in known:
@@ -138,7 +138,7 @@ def plot(
     """Plot fields of a log over time: CHANNEL.field, with [index] or [from:to] for arrays."""
     from imolo.inspect.fields import parse_selector
     from imolo.inspect.plot import draw_fields, save_figure, show_figure
-    from imolo.log import read_log
+    from imolo.messaging.log import read_log
 
     selectors = [parse_selector(field) for field in fields]
     figure = draw_fields([read_log(path) for path in (log, *(others or []))], selectors)
@@ -161,8 +161,8 @@ def view(
     robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
 ) -> None:
     """Show sessions in the browser: logs, or without any the session that runs on a bus."""
-    from imolo.extras import import_extra
-    from imolo.log import read_log
+    from imolo.machine.extras import import_extra
+    from imolo.messaging.log import read_log
 
     import_extra("viser", "view")
     import_extra("yourdfpy", "view")

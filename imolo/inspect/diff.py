@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imolo.channels import CHANNELS
 from imolo.inspect.fields import Value, flatten
-from imolo.log import decode, warn_of_damage
-from imolo.log_file import LogEvent, read_events
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import decode, warn_of_damage
+from imolo.messaging.log_file import LogEvent, read_events
 
 
 @dataclass(frozen=True)

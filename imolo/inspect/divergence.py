@@ -5,12 +5,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from imolo.campaigns.figures import COLORS, STYLE
 from imolo.errors import FieldError
-from imolo.experiment.figures import COLORS, STYLE
 from imolo.inspect.diff import Difference
 from imolo.inspect.fields import parse_selector, series
 from imolo.inspect.plot import short_names
-from imolo.log import Log
+from imolo.messaging.log import Log
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from enum import StrEnum
 from pathlib import Path
 
 from imolo.errors import ResultsError
-from imolo.extras import import_extra
 from imolo.inspect.fields import Value, columns
-from imolo.log import Log
+from imolo.machine.extras import import_extra
+from imolo.messaging.log import Log
 
 RECORDED = "recorded_utime"  # column of the time at which a message was recorded [µs]
 Columns = dict[str, list[Value | None]]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imolo.channels import CHANNELS
 from imolo.errors import FieldError, did_you_mean
 from imolo.inspect.definitions import unit_of
-from imolo.log import Log
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import Log
 
 Array = NDArray[np.float64]
 Value = int | float | str

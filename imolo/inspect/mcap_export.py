@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from imolo import channels
-from imolo.channels import CHANNELS
 from imolo.config.simulation import BallConfig
-from imolo.extras import import_extra
-from imolo.log import Log
+from imolo.machine.extras import import_extra
+from imolo.messaging import channels
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import Log
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
 
 Json = dict[str, Any]

@@ -7,10 +7,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from imolo.campaigns.figures import COLORS, STYLE
 from imolo.errors import ResultsError
-from imolo.experiment.figures import COLORS, STYLE
 from imolo.inspect.fields import Selector, series
-from imolo.log import Log
+from imolo.messaging.log import Log
 
 LINES = ("-", "--", ":", "-.")  # one for each log; the colour is the element of the field
 MANY = 8  # columns of a field beyond which a legend says less than nothing

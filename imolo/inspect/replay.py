@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
+from imolo.campaigns.campaign import load_learned
 from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+from imolo.contracts.backend import EventName
 from imolo.errors import BusError, ConfigError, did_you_mean
-from imolo.experiment.campaign import load_learned
 from imolo.inspect.diff import RunComparison, compare_runs
-from imolo.log import decode, read_log
-from imolo.log_file import LogEvent, read_events
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import decode, read_log
+from imolo.messaging.log_file import LogEvent, read_events
 from imolo.method.planner import Planner
 
 HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to

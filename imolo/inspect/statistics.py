@@ -5,10 +5,10 @@ from collections.abc import Iterable
 from math import sqrt
 from typing import Any
 
-from imolo import channels
-from imolo.channels import CHANNELS
-from imolo.log import decode
-from imolo.log_file import LogEvent
+from imolo.messaging import channels
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import decode
+from imolo.messaging.log_file import LogEvent
 
 SEQUENCE_FIELDS = {
     channels.VALVE_COMMAND: "command_sequence",

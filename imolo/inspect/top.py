@@ -9,11 +9,11 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from imolo.bus import Bus
-from imolo.channels import CHANNELS
 from imolo.inspect.statistics import BusStatistics, ChannelStatistics, statistics_of
-from imolo.log import warn_of_damage
-from imolo.log_file import read_events
+from imolo.messaging.bus import Bus
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import warn_of_damage
+from imolo.messaging.log_file import read_events
 
 REFRESH = 0.25  # [s] between two pictures of a live table
 STALE = 1.0  # [s] of silence after which a channel is shown dim

@@ -9,21 +9,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
-from imolo.bus import Bus
+from imolo.campaigns.campaign import log_name
+from imolo.campaigns.kept_trials import set_aside
 from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.registry import load_backend
 from imolo.errors import BackendError, BusError, ConfigError, ResultsError, TrialVoidError
-from imolo.experiment.campaign import log_name
-from imolo.experiment.kept_trials import set_aside
-from imolo.experiment.trial import Bystander, run_trial
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.remote_planner import LockstepPlanner, RealtimePlanner
-from imolo.log import read_log
-from imolo.priority import BACKEND_PRIORITY, claim_priority
-from imolo.registry import load_backend
+from imolo.machine.priority import BACKEND_PRIORITY, claim_priority
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import read_log
+from imolo.trials.trial import Bystander, run_trial
 from imolo_msgs import throw_report_t, throw_request_t
 
 WARM_UP = 0.02  # [s] of a trial in which everything is loaded and compiled

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imolo.command_options import ConfigPath, Method
-from imolo.udpm import LOCAL_URL
+from imolo.command_line.options import ConfigPath, Method
+from imolo.messaging.udpm import LOCAL_URL
 
 if TYPE_CHECKING:
     from imolo.config.experiment import ExperimentConfig

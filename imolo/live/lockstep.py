@@ -8,9 +8,9 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 
-from imolo import channels
-from imolo.bus import Bus
 from imolo.errors import TrialVoidError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo_msgs import envelope_t, step_answer_t, step_request_t
 
 FIRST_RESEND = 0.005  # [s] ten times what an answer takes on one machine

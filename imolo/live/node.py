@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from imolo import channels
-from imolo.bus import Bus
 from imolo.errors import BusError
 from imolo.live.identity import Identity, Role, mismatch, protocol
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo_msgs import heartbeat_t
 
 BEAT = 0.1  # [s] between two heartbeats

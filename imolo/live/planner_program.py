@@ -6,19 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from imolo import channels
-from imolo.bus import Bus
+from imolo.campaigns.campaign import load_learned
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError, did_you_mean
-from imolo.experiment.campaign import load_learned
-from imolo.experiment.trial import Controller
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Answerer, Said
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.streams import Latency, Streams, is_start
+from imolo.machine.priority import PLANNER_PRIORITY, claim_priority
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.planner import Planner
-from imolo.priority import PLANNER_PRIORITY, claim_priority
+from imolo.trials.trial import Controller
 from imolo_msgs import step_request_t
 
 

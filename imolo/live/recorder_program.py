@@ -5,13 +5,13 @@ import time
 from pathlib import Path
 from typing import BinaryIO
 
-from imolo import channels
-from imolo.bus import Bus
 from imolo.errors import BusError
 from imolo.live.identity import Identity, Role
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.streams import Streams
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 
 # The parts of the numbered exchange repeat what the other channels carry.
 LEFT_OUT = (channels.STEP_REQUEST, channels.STEP_ANSWER)

@@ -12,19 +12,19 @@ from typing import NoReturn
 
 import numpy as np
 
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
-from imolo.channels import CHANNELS
+from imolo.contracts.backend import EventName
 from imolo.errors import TrialVoidError
-from imolo.experiment.trial import SLICE
 from imolo.live.clock import Pace
 from imolo.live.identity import Role
 from imolo.live.lockstep import Asker
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop
 from imolo.live.streams import Latency, Streams
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.channels import CHANNELS
 from imolo.method.motion import NUM_VALVES, Commands
+from imolo.trials.trial import SLICE
 from imolo_msgs import trial_event_t, valve_command_t
 
 PLANNER_SAYS = (channels.VALVE_COMMAND, channels.BALL_STATE, channels.PLAN)

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from imolo.bus import Bus
 from imolo.errors import BackendError
 from imolo.live.identity import ClockMode, Identity, Role
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.live.throw_program import ThrowRequest
+from imolo.messaging.bus import Bus
 
 STARTS = 5  # of a program that keeps dying, until the session gives up
 PATIENCE = 10.0  # [s] for a program to end
@@ -49,7 +49,7 @@ class Session:
 
     def add(self, name: str, *arguments: object) -> None:
         """Start a program of ours."""
-        command = [sys.executable, "-m", "imolo.cli", name, *map(str, arguments), "--with-parent"]
+        command = [sys.executable, "-m", "imolo.command_line.main", name, *map(str, arguments), "--with-parent"]
         program = _Program(name, command)
         program.start()
         self._programs.append(program)

@@ -5,8 +5,8 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 
-from imolo import channels
-from imolo.backend import EventName
+from imolo.contracts.backend import EventName
+from imolo.messaging import channels
 from imolo_msgs import trial_event_t
 
 # Where the number of a message is in its bytes: behind fingerprint and utime, 8 bytes each.

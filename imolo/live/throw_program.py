@@ -3,11 +3,11 @@
 import struct
 import time
 
-from imolo import channels
-from imolo.bus import Bus
 from imolo.live.identity import Identity, Role
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo_msgs import throw_report_t, throw_request_t
 
 REPEAT = 0.2  # [s] between two requests, until all is done

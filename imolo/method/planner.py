@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from imolo import channels
-from imolo.backend import EventName
 from imolo.ball.model import BallModel
 from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig, made_up_flight
-from imolo.bus import Bus
 from imolo.config.model import Model, NonNegative, Positive
+from imolo.contracts.backend import EventName
 from imolo.errors import TableFileError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.hit_choice import HitChooser, HitConfig
 from imolo.method.hit_kernel import BallPath
 from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds

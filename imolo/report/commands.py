@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from imolo.terminal import ProgressBars, complain, say
+from imolo.command_line.terminal import ProgressBars, complain, say
 
 app = typer.Typer()
 

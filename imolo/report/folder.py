@@ -8,14 +8,14 @@ from typing import TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from imolo.backend import Trial, TrialKind
+from imolo.campaigns.campaign import log_name
+from imolo.campaigns.comparison import Comparison, Timings
+from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.reading import explain
+from imolo.contracts.backend import Trial, TrialKind
 from imolo.errors import ResultsError
-from imolo.experiment.campaign import log_name
-from imolo.experiment.comparison import Comparison, Timings
-from imolo.experiment.metrics import MethodResult, Statistic, TrialResult
-from imolo.experiment.results import ResultsFolder
+from imolo.trials.metrics import MethodResult, Statistic, TrialResult
 
 AGAIN = "run `imolo compare` again, or restore the file"
 

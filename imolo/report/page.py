@@ -12,17 +12,18 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from imolo import __version__, channels
+from imolo import __version__
+from imolo.campaigns.figures import COLORS
+from imolo.campaigns.summary import PAPER, millimetres
+from imolo.contracts.registry import describe_robot
 from imolo.errors import ResultsError
-from imolo.experiment.figures import COLORS
-from imolo.experiment.metrics import HORIZONS, wilson_interval
-from imolo.experiment.summary import PAPER, millimetres
-from imolo.log import read_log
-from imolo.registry import describe_robot
+from imolo.messaging import channels
+from imolo.messaging.log import read_log
 from imolo.report.folder import Campaign, ReportedTrial, read_campaign
 from imolo.report.robot_shapes import robot_shapes
 from imolo.report.sections import SECTIONS, Section
 from imolo.report.tracks import trial_tracks
+from imolo.trials.metrics import HORIZONS, wilson_interval
 
 PICTURE_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 CAPTIONS = {

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 from scipy.spatial.transform import Rotation
 
-from imolo.backend import RobotDescription
+from imolo.contracts.backend import RobotDescription
 from imolo.errors import ResultsError
 
 DEFAULT_COLOR = (0.7, 0.7, 0.7, 1.0)

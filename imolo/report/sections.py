@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
-from imolo.experiment import sample_efficiency_report as efficiency_report
-from imolo.experiment import transfer_report
-from imolo.experiment.attribution import Attribution
-from imolo.experiment.interpolation_report import (
+from imolo.report.folder import parse, read_text
+from imolo.studies import sample_efficiency_report as efficiency_report
+from imolo.studies import transfer_report
+from imolo.studies.attribution import Attribution
+from imolo.studies.interpolation_report import (
     BARS_COLUMNS,
     BARS_NOTE,
     BARS_TITLE,
@@ -19,10 +20,9 @@ from imolo.experiment.interpolation_report import (
     findings,
     model_rows,
 )
-from imolo.experiment.interpolation_study import InterpolationStudy
-from imolo.experiment.sample_efficiency import SampleEfficiency
-from imolo.experiment.transfer import Transfer
-from imolo.report.folder import parse, read_text
+from imolo.studies.interpolation_study import InterpolationStudy
+from imolo.studies.sample_efficiency import SampleEfficiency
+from imolo.studies.transfer import Transfer
 
 Context = Mapping[str, Any]
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imolo import channels
-from imolo.backend import EventName
 from imolo.config.experiment import RobotConfig
-from imolo.experiment.recordings import last_plan, marker_track
-from imolo.log import Log
+from imolo.contracts.backend import EventName
+from imolo.messaging import channels
+from imolo.messaging.log import Log
+from imolo.trials.recordings import last_plan, marker_track
 from imolo_msgs import marker_t, plan_t
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 from viser.extras import ViserUrdf
 
-from imolo import channels
-from imolo.backend import RobotDescription
+from imolo.campaigns.figures import COLORS
 from imolo.config.simulation import BallConfig
-from imolo.experiment.figures import COLORS
+from imolo.contracts.backend import RobotDescription
+from imolo.messaging import channels
 from imolo.view.sessions import Moment
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
 

@@ -4,11 +4,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
+from imolo.contracts.backend import EventName
 from imolo.errors import BusError
-from imolo.log import Log
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import Log
 
 Moment = Mapping[str, Any]  # newest message by channel; a channel that has not spoken is not in it
 

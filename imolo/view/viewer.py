@@ -8,10 +8,10 @@ from pathlib import Path
 
 import viser
 
-from imolo.backend import RobotDescription
-from imolo.bus import Bus
+from imolo.contracts.backend import RobotDescription
+from imolo.contracts.registry import describe_robot
 from imolo.errors import BackendNotFoundError, ConfigError, ResultsError
-from imolo.registry import describe_robot
+from imolo.messaging.bus import Bus
 from imolo.view.scene import SessionScene, prepare_scene, show_all
 from imolo.view.sessions import LiveSession, RecordedSession
 

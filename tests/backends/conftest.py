@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from requirements import BACKENDS
 
-from imolo_backends.engine import Engine, Scene
+from imolo.contracts.engine import Engine, Scene
 
 ENGINES = {
-    "mujoco": ("imolo_backends.mujoco_engine", "MujocoEngine", "MujocoOptions"),
-    "pybullet": ("imolo_backends.pybullet_engine", "PybulletEngine", "PybulletOptions"),
-    "dart": ("imolo_backends.dart_engine", "DartEngine", "DartOptions"),
-    "ode": ("imolo_backends.ode_engine", "OdeEngine", "OdeOptions"),
+    "mujoco": ("imolo_backends.engines.mujoco_engine", "MujocoEngine", "MujocoOptions"),
+    "pybullet": ("imolo_backends.engines.pybullet_engine", "PybulletEngine", "PybulletOptions"),
+    "dart": ("imolo_backends.engines.dart_engine", "DartEngine", "DartOptions"),
+    "ode": ("imolo_backends.engines.ode_engine", "OdeEngine", "OdeOptions"),
 }
 
 MakeEngine = Callable[..., Engine]

@@ -17,8 +17,8 @@ import time
 
 import numpy as np
 
-from imolo_backends.engine import EngineOptions
-from imolo_backends.simulated import simulated_plugin
+from imolo.contracts.engine import EngineOptions
+from imolo_backends.simulation.simulated import simulated_plugin
 
 
 class Engine:

@@ -5,7 +5,7 @@ from requirements import AVAILABLE, BACKENDS
 
 from imolo.conformance.suite import Suite
 from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
-from imolo.registry import backend_status
+from imolo.contracts.registry import backend_status
 from imolo_backends.conformance import SCENES
 
 

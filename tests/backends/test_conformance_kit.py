@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from imolo.backend import BackendPlugin
 from imolo.config.model import Model
 from imolo.conformance import Check, Limitation, Measurement, Verdict, run_check
 from imolo.conformance.report import number, short
 from imolo.conformance.suite import Suite, check_names, suites
 from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
+from imolo.contracts.backend import BackendPlugin
 from imolo.errors import BackendNotFoundError, ConfigError
 
 

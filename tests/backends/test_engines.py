@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from imolo.contracts.engine import Array, Engine, EngineState, Scene
+from imolo.contracts.urdf import RobotModel, read_urdf
 from imolo.errors import BackendError
-from imolo_backends.engine import Array, Engine, EngineState, Scene
-from imolo_backends.liberobot import (
+from imolo_robots.liberobot.body import (
     ARM_LINKS,
     JOINT_LIMITS,
     JOINT_NAMES,
@@ -19,7 +20,6 @@ from imolo_backends.liberobot import (
     foam_ball,
     ready_scene,
 )
-from imolo_backends.urdf import RobotModel, read_urdf
 
 DT = 1e-4
 G = 9.81

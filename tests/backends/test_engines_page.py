@@ -10,8 +10,8 @@ from imolo.conformance.page import counterpart, differences, render_page, write_
 from imolo.conformance.record import Record, load_records, record
 from imolo.conformance.runner import run_suites
 from imolo.conformance.suite import suites
+from imolo.contracts.registry import backend_status
 from imolo.errors import ResultsError
-from imolo.registry import backend_status
 
 REQUIRED = ("dart", "mujoco", "pybullet")
 PAGE = Path(__file__).parents[2] / "docs" / "engines.md"

@@ -9,7 +9,7 @@ import pytest
 from command_line import Run, is_one_line_about
 from requirements import BACKENDS
 
-from imolo import registry
+from imolo.contracts import registry
 
 
 @pytest.mark.parametrize("name", BACKENDS)
@@ -23,7 +23,7 @@ def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
 def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make Python find no PyBullet, as where the extra was not installed."""
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    monkeypatch.delitem(sys.modules, "imolo_backends.pybullet_engine", raising=False)
+    monkeypatch.delitem(sys.modules, "imolo_backends.engines.pybullet_engine", raising=False)
 
 
 @pytest.mark.usefixtures("without_pybullet")

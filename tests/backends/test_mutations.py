@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from imolo.conformance import Verdict, run_check
-from imolo.registry import load_backend
-from imolo_backends import dart_engine, mujoco_engine, pybullet_engine
+from imolo.contracts.engine import Array, EngineState, Scene
+from imolo.contracts.registry import load_backend
 from imolo_backends.conformance import SCENES
 from imolo_backends.conformance.subject import Subject, bind
-from imolo_backends.dart_engine import DartEngine
-from imolo_backends.engine import Array, EngineState, Scene
-from imolo_backends.mujoco_engine import MujocoEngine
-from imolo_backends.pybullet_engine import PybulletEngine
+from imolo_backends.engines import dart_engine, mujoco_engine, pybullet_engine
+from imolo_backends.engines.dart_engine import DartEngine
+from imolo_backends.engines.mujoco_engine import MujocoEngine
+from imolo_backends.engines.pybullet_engine import PybulletEngine
 
 OPTIONS: dict[Any, Any] = {
     MujocoEngine: mujoco_engine.MujocoOptions,

@@ -9,10 +9,10 @@ import pytest
 from pydantic import ValidationError
 from requirements import needs
 
+from imolo.contracts.engine import Engine, EngineState, Scene
 from imolo.errors import BackendError, DivergenceError
 from imolo_backends.conformance.bodies import ball_scene, box_scene, flying_robot, pendulum_scene
-from imolo_backends.engine import Engine, EngineState, Scene
-from imolo_backends.liberobot import HAND_OFFSET, LINK_NAMES, foam_ball, ready_scene
+from imolo_robots.liberobot.body import HAND_OFFSET, LINK_NAMES, foam_ball, ready_scene
 
 pytestmark = needs("ode")
 
@@ -22,13 +22,13 @@ WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
 def options(**chosen: Any) -> Any:
-    from imolo_backends.ode_engine import OdeOptions
+    from imolo_backends.engines.ode_engine import OdeOptions
 
     return OdeOptions(**chosen)
 
 
 def make(scene: Scene, **chosen: Any) -> Any:
-    from imolo_backends.ode_engine import OdeEngine
+    from imolo_backends.engines.ode_engine import OdeEngine
 
     return OdeEngine(scene, options(**chosen))
 
@@ -120,7 +120,7 @@ def test_the_papers_settings_replace_defaults_and_give_way_to_what_is_said() -> 
 def test_contact_points_are_at_most_as_many_as_asked_for(
     monkeypatch: pytest.MonkeyPatch, chosen: dict[str, Any], points: int
 ) -> None:
-    from imolo_backends import ode_engine
+    from imolo_backends.engines import ode_engine
 
     made: list[Any] = []
     create = ode_engine.ode.ContactJoint
@@ -130,7 +130,7 @@ def test_contact_points_are_at_most_as_many_as_asked_for(
 
 
 def test_constants_of_an_older_ode_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    from imolo_backends import ode_model
+    from imolo_backends.engines import ode_model
 
     monkeypatch.setattr(ode_model, "STOP_ERP", ode_model.ode.ParamStopERP)
     with pytest.raises(BackendError, match="bounce, ERP and CFM of right_hip's stops"):

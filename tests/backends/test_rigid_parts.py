@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imolo_backends.liberobot import URDF
-from imolo_backends.rigid_parts import find_places, merge_fixed
-from imolo_backends.urdf import RobotModel, read_urdf
+from imolo.contracts.urdf import RobotModel, read_urdf
+from imolo_backends.engines.rigid_parts import find_places, merge_fixed
+from imolo_robots.liberobot.body import URDF
 
 MASS, SIDES = 2.0, np.array([0.3, 0.2, 0.1])
 

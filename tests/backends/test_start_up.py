@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from conftest import ENGINES
 
+from imolo.contracts.engine import Array
 from imolo.errors import BackendError
-from imolo_backends.engine import Array
-from imolo_backends.mujoco_engine import MujocoEngine, MujocoOptions
-from imolo_backends.start_up import check_start_up
+from imolo_backends.engines.mujoco_engine import MujocoEngine, MujocoOptions
+from imolo_backends.simulation.start_up import check_start_up
 
 
 @pytest.mark.parametrize("timestep", [1e-4, 1e-3])

@@ -6,11 +6,11 @@ import pytest
 import yaml
 from requirements import BACKEND_NAMES, BACKENDS
 
-from imolo.backend import BackendPlugin
 from imolo.config.experiment import ExperimentConfig, load_config
+from imolo.contracts.backend import BackendPlugin
+from imolo.contracts.registry import backend_names, backend_status, load_backend
 from imolo.errors import BackendNotFoundError, ConfigError, ImoloError
 from imolo.method.motion import TRAINING_MOTIONS
-from imolo.registry import backend_names, backend_status, load_backend
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 GOOD = "backend: {name: mujoco}\n"

@@ -3,14 +3,14 @@
 import pytest
 from recorded_trials import METHOD, Recorded
 
-from imolo.backend import Trial, TrialKind
+from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.campaign import learning_tasks, run_tasks
-from imolo.experiment.learning import build_table, learn_ball, learn_motions
-from imolo.experiment.trial import run_trial
+from imolo.contracts.backend import Trial, TrialKind
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.planner import Planner
 from imolo.method.table import GridAxis, TableGrid
+from imolo.trials.learning import build_table, learn_ball, learn_motions
+from imolo.trials.trial import run_trial
 
 # A fifth of the paper's predictions along each axis and twice its tolerances: as many queries are answered.
 GRID = TableGrid(

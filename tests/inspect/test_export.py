@@ -12,12 +12,12 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 from recorded_trials import Recorded
 
-from imolo.channels import STREAMS
 from imolo.errors import MissingToolError
-from imolo.extras import import_extra
 from imolo.inspect.fields import flatten
 from imolo.inspect.mcap_export import to_json
-from imolo.log import Log, read_log
+from imolo.machine.extras import import_extra
+from imolo.messaging.channels import STREAMS
+from imolo.messaging.log import Log, read_log
 from imolo_msgs import valve_pressure_t
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from recorded_trials import Recorded
 
-from imolo.channels import STREAMS
 from imolo.errors import FieldError
 from imolo.inspect.definitions import definition_files, field_units
 from imolo.inspect.fields import columns, flatten, parse_selector, series
-from imolo.log import read_log
+from imolo.messaging.channels import STREAMS
+from imolo.messaging.log import read_log
 from imolo_msgs import marker_t, mocap_frame_t
 
 

@@ -14,15 +14,15 @@ from command_line import Run
 from recorded_trials import Recorded
 from requirements import needs
 
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
+from imolo.contracts.backend import EventName
+from imolo.contracts.registry import describe_robot
 from imolo.inspect.fields import parse_selector, series
 from imolo.inspect.plot import draw_fields, short_names
 from imolo.inspect.statistics import ChannelStatistics, statistics_of
-from imolo.log import read_log
-from imolo.log_file import read_events
-from imolo.registry import describe_robot
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import read_log
+from imolo.messaging.log_file import read_events
 from imolo.view.sessions import LiveSession, recorded_sessions
 from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
 

@@ -9,12 +9,12 @@ import pytest
 from command_line import Run
 from recorded_trials import METHOD, Recorded
 
-from imolo import channels
-from imolo.channels import STREAMS
 from imolo.inspect.diff import compare_logs, compare_runs
 from imolo.inspect.divergence import difference_over_time, draw_divergence
-from imolo.log import read_log
-from imolo.log_file import LogEvent, read_events
+from imolo.messaging import channels
+from imolo.messaging.channels import STREAMS
+from imolo.messaging.log import read_log
+from imolo.messaging.log_file import LogEvent, read_events
 
 
 def rewrite(path: Path, events: list[LogEvent]) -> Path:

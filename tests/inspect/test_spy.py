@@ -12,12 +12,12 @@ from command_line import Run
 from recorded_trials import Recorded
 from requirements import needs
 
-from imolo.channels import STREAMS
 from imolo.errors import MissingToolError
 from imolo.inspect import spy, types_jar
 from imolo.inspect.definitions import definition_files
-from imolo.log_file import read_events
-from imolo.udpm import LOCAL_URL
+from imolo.messaging.channels import STREAMS
+from imolo.messaging.log_file import read_events
+from imolo.messaging.udpm import LOCAL_URL
 
 JAVA_SOURCE = Path(__file__).with_name("DecodeLog.java")
 

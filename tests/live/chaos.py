@@ -15,8 +15,8 @@ from typing import Any
 
 import lcm
 
-import imolo.bus
-from imolo.cli import main
+import imolo.messaging.bus
+from imolo.command_line.main import main
 
 LONGEST_DELAY = 0.02  # [s]
 
@@ -72,6 +72,6 @@ class ChaoticLCM:
 if __name__ == "__main__":
     _, seed, share, *command = sys.argv
     ChaoticLCM.rng, ChaoticLCM.share = random.Random(int(seed)), float(share)
-    imolo.bus.lcm = SimpleNamespace(LCM=ChaoticLCM)  # type: ignore[attr-defined]
+    imolo.messaging.bus.lcm = SimpleNamespace(LCM=ChaoticLCM)  # type: ignore[attr-defined]
     sys.argv = ["imolo", *command]
     main()

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from imolo.backend import TrialKind
+from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.campaign import learning_tasks, run_tasks
-from imolo.experiment.learning import build_table, learn_ball, learn_motions
+from imolo.contracts.backend import TrialKind
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.table import GridAxis, TableGrid
+from imolo.trials.learning import build_table, learn_ball, learn_motions
 
 COARSE = """
 backend: {name: mujoco}

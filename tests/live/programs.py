@@ -20,7 +20,7 @@ class Program:
     """A running `imolo` command."""
 
     def __init__(self, *arguments: object, chaos: tuple[int, float] | None = None) -> None:
-        start = ["-m", "imolo.cli"] if chaos is None else [str(CHAOS), *map(str, chaos)]
+        start = ["-m", "imolo.command_line.main"] if chaos is None else [str(CHAOS), *map(str, chaos)]
         self.name = str(arguments[0])
         self.process = subprocess.Popen(
             [sys.executable, *start, *map(str, arguments)], stderr=subprocess.PIPE, text=True, bufsize=1

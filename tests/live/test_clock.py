@@ -2,10 +2,10 @@
 
 import pytest
 
-from imolo import channels
-from imolo.backend import EventName
+from imolo.contracts.backend import EventName
 from imolo.live.clock import GIVE_UP, Pace
 from imolo.live.streams import Latency, Streams
+from imolo.messaging import channels
 from imolo_msgs import mocap_frame_t, trial_event_t, valve_command_t
 
 SLICE = 1000  # [µs]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imolo import channels
 from imolo.live.lockstep import Answerer, Said
+from imolo.messaging import channels
 from imolo_msgs import envelope_t, step_answer_t, step_request_t
 
 PLANNER = 77

@@ -6,10 +6,10 @@ import pytest
 from live_table import Learned
 from programs import lab
 
-from imolo import channels
-from imolo.backend import Trial, TrialKind
-from imolo.experiment.campaign import TrialTask, run_task
-from imolo.log import read_log
+from imolo.campaigns.campaign import TrialTask, run_task
+from imolo.contracts.backend import Trial, TrialKind
+from imolo.messaging import channels
+from imolo.messaging.log import read_log
 
 pytestmark = pytest.mark.usefixtures("network")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from network import URL, namespace
 
-from imolo import channels, udpm
-from imolo.bus import Bus
 from imolo.errors import BusError
+from imolo.messaging import channels, udpm
+from imolo.messaging.bus import Bus
 from imolo_msgs import valve_pressure_t
 
 BURST = 20_000
@@ -19,8 +19,8 @@ BURST = 20_000
 SENDER = f"""
 import os
 os.nice(19)
-from imolo import channels
-from imolo.bus import Bus
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo_msgs import valve_pressure_t
 bus, message = Bus({URL!r}), valve_pressure_t()
 for number in range(1, {BURST} + 1):
@@ -129,7 +129,11 @@ def test_bus_that_cannot_be_opened_ends_a_program_in_one_line(tmp_path: Path, ar
     (tmp_path / "config.yaml").write_text("backend: {name: mujoco}\n", encoding="utf-8")
     with namespace(route=False):
         ended = subprocess.run(
-            [sys.executable, "-m", "imolo.cli", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60
+            [sys.executable, "-m", "imolo.command_line.main", *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
         )
     assert (ended.returncode, ended.stdout) == (2, "")
     assert ended.stderr.startswith("imolo: no multicast route")

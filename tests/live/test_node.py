@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from imolo import channels
-from imolo.bus import Bus
 from imolo.config.experiment import BackendConfig, ExperimentConfig
 from imolo.errors import BusError
 from imolo.live import node as node_module
 from imolo.live.identity import Identity, Role, mismatch, protocol, shared_sections
 from imolo.live.node import ECHO, SILENCE, Node
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
 from imolo.method.motion import MotionTemplate
 
 CONFIG = ExperimentConfig(backend=BackendConfig(name="mujoco"))

@@ -15,11 +15,11 @@ from live_table import Learned
 from network import URL
 from programs import Lab, lab
 
-from imolo import channels
-from imolo.backend import EventName
-from imolo.bus import Bus
-from imolo.channels import CHANNELS
-from imolo.log import read_log
+from imolo.contracts.backend import EventName
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import read_log
 from imolo_msgs import trial_event_t
 
 pytestmark = pytest.mark.usefixtures("network")

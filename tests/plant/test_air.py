@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from imolo.config.simulation import BallConfig, PneumaticsConfig
-from imolo_backends.liberobot import JOINT_LIMITS, READY_JOINT_ANGLE
-from imolo_backends.plant import Plant, PlantDisturbance, tube_conductance
-from imolo_backends.plant_kernel import VALVE_OF_CHAMBER, mass_flow
+from imolo_backends.actuators.plant import Plant, PlantDisturbance, tube_conductance
+from imolo_backends.actuators.plant_kernel import VALVE_OF_CHAMBER, mass_flow
+from imolo_robots.liberobot.body import JOINT_LIMITS, READY_JOINT_ANGLE
 
 Array = NDArray[np.float64]
 

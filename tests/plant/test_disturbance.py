@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from imolo.config.simulation import NAMED_DISTURBANCES, DisturbanceConfig
-from imolo_backends.disturbance import draw_disturbance
-from imolo_backends.liberobot import JOINT_LIMITS, READY_JOINT_ANGLE, ready_scene
+from imolo_backends.simulation.disturbance import draw_disturbance
+from imolo_robots.liberobot.body import JOINT_LIMITS, READY_JOINT_ANGLE, ready_scene
 
 READY = np.array(READY_JOINT_ANGLE)
 DRAWS = 500

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from imolo.config.simulation import MocapConfig
-from imolo_backends.engine import EngineState
-from imolo_backends.liberobot import LINK_NAMES, MARKERS
-from imolo_backends.mocap import Mocap
+from imolo.contracts.engine import EngineState
+from imolo_backends.simulation.mocap import Mocap
 from imolo_msgs import marker_t, mocap_frame_t
+from imolo_robots.liberobot.body import LINK_NAMES, MARKERS
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imolo.backend import Trial, TrialKind
 from imolo.config.simulation import BallConfig, ThrowerConfig
+from imolo.contracts.backend import Trial, TrialKind
 from imolo.errors import ConfigError
-from imolo_backends.thrower import Throw, aimed_velocity, draw_throw
+from imolo_backends.simulation.thrower import Throw, aimed_velocity, draw_throw
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imolo.method.motion import Commands, MotionTemplate, Theta
-from imolo_backends.valve_schedule import ValveSchedule
+from imolo_backends.simulation.valve_schedule import ValveSchedule
 
 REST = np.array([0.0] * 7 + [5e4])
 ONSET = 20_000  # [µs]

@@ -7,11 +7,11 @@ from typing import Any
 import lcm
 import yaml
 
-from imolo import channels
+from imolo.campaigns.comparison import Comparison, Timing, Timings
+from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.comparison import Comparison, Timing, Timings
-from imolo.experiment.metrics import Statistic, TrialResult, judge_campaign
-from imolo.experiment.results import ResultsFolder
+from imolo.messaging import channels
+from imolo.trials.metrics import Statistic, TrialResult, judge_campaign
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, truth_ball_t, truth_robot_t
 
 METHODS = ("paper", "improved")

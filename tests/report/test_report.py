@@ -10,14 +10,14 @@ from urllib.parse import unquote
 import pytest
 from results_folder import BALLS, METHODS, make_results
 
-from imolo.cli import main
+from imolo.campaigns.comparison import Comparison
+from imolo.campaigns.results import ResultsFolder
+from imolo.campaigns.summary import millimetres
+from imolo.command_line.main import main
 from imolo.errors import ImoloError
-from imolo.experiment.comparison import Comparison
-from imolo.experiment.metrics import Statistic, wilson_interval
-from imolo.experiment.results import ResultsFolder
-from imolo.experiment.summary import millimetres
-from imolo.experiment.transfer import Cell, Transfer
 from imolo.report.page import write_report
+from imolo.studies.transfer import Cell, Transfer
+from imolo.trials.metrics import Statistic, wilson_interval
 
 
 class Page(HTMLParser):

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from results_folder import END, write_log
 
-from imolo.backend import RobotDescription
 from imolo.config.experiment import RobotConfig
+from imolo.contracts.backend import RobotDescription
+from imolo.contracts.registry import describe_robot
+from imolo.contracts.urdf import read_urdf
 from imolo.errors import ResultsError
-from imolo.log import read_log
-from imolo.registry import describe_robot
+from imolo.messaging.log import read_log
 from imolo.report.robot_shapes import robot_shapes
 from imolo.report.tracks import PATH_STEP, RATE, STEPS, pack, trial_tracks, unpack
-from imolo_backends.urdf import read_urdf
 
 ROBOT = RobotConfig()
 

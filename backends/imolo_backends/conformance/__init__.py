@@ -5,9 +5,9 @@ author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance.tes
 """
 
 from imolo.conformance import Check
+from imolo.contracts.engine import Engine, EngineOptions
 from imolo_backends.conformance import air, collisions, contract, free_motion, friction, joints
 from imolo_backends.conformance.subject import Subject, bind
-from imolo_backends.engine import Engine, EngineOptions
 
 SCENES = (
     *contract.SCENES,

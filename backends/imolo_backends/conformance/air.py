@@ -11,12 +11,12 @@ import numpy as np
 
 from imolo.config.simulation import BallConfig, PneumaticsConfig
 from imolo.conformance import Measurement
+from imolo.contracts.engine import Array, EngineState, Scene
+from imolo_backends.actuators.plant import ATMOSPHERE, GAS_CONSTANT, REFERENCE_DENSITY, Plant
+from imolo_backends.actuators.plant_kernel import CHAMBERS, JOINTS, VALVE_OF_CHAMBER, VALVES
 from imolo_backends.conformance.bodies import ASIDE, GRAVITY, WEIGHTLESS, ball_scene
 from imolo_backends.conformance.subject import SceneCheck, Subject, at_timestep, observed_order
-from imolo_backends.engine import Array, EngineState, Scene
-from imolo_backends.liberobot import JOINT_LIMITS, READY_JOINT_ANGLE, foam_ball
-from imolo_backends.plant import ATMOSPHERE, GAS_CONSTANT, REFERENCE_DENSITY, Plant
-from imolo_backends.plant_kernel import CHAMBERS, JOINTS, VALVE_OF_CHAMBER, VALVES
+from imolo_robots.liberobot.body import JOINT_LIMITS, READY_JOINT_ANGLE, foam_ball
 
 SUBSTEP = 1e-4  # [s]
 MIDDLE = JOINT_LIMITS.mean(axis=1)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from imolo_backends.engine import Ball, Scene
-from imolo_backends.liberobot import JOINT_LIMITS, foam_ball, ready_scene
+from imolo.contracts.engine import Ball, Scene
+from imolo_robots.liberobot.body import JOINT_LIMITS, foam_ball, ready_scene
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 GRAVITY = 9.81  # [m/s²]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from imolo.conformance import Measurement
+from imolo.contracts.engine import Array, Ball, Scene
 from imolo_backends.conformance.bodies import (
     BOX_SIDES,
     CONTACT_SINK,
@@ -19,8 +20,7 @@ from imolo_backends.conformance.bodies import (
     flying_robot,
 )
 from imolo_backends.conformance.subject import SceneCheck, Subject
-from imolo_backends.engine import Array, Ball, Scene
-from imolo_backends.liberobot import HAND_OFFSET, LINK_NAMES, foam_ball, standing_box
+from imolo_robots.liberobot.body import HAND_OFFSET, LINK_NAMES, foam_ball, standing_box
 
 RADIUS = foam_ball().radius  # [m]
 HALF_PLATE = 0.0015  # [m]

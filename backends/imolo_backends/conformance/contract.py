@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from imolo.conformance import Measurement
+from imolo.contracts.engine import Array
 from imolo.errors import DivergenceError
 from imolo_backends.conformance.bodies import (
     HIGH,
@@ -21,8 +22,7 @@ from imolo_backends.conformance.bodies import (
 )
 from imolo_backends.conformance.reference import Mechanism, rotation_of, rotation_vector
 from imolo_backends.conformance.subject import ROUNDING, SceneCheck, Subject
-from imolo_backends.engine import Array
-from imolo_backends.liberobot import JOINT_NAMES, LINK_NAMES, foam_ball, ready_scene
+from imolo_robots.liberobot.body import JOINT_NAMES, LINK_NAMES, foam_ball, ready_scene
 
 # Valve 8 at rest, .05 MPa, presses the legs into their stops (40 mm, reduction 2) and the arms down (25 mm).
 REST_TORQUE = np.array([3.3] * 6 + [-0.6] * 2)  # [N·m]

@@ -8,7 +8,7 @@ from imolo.conformance import Measurement
 from imolo_backends.conformance.bodies import BOX_INERTIA, GRAVITY, WEIGHTLESS, ball_scene, box_scene
 from imolo_backends.conformance.reference import base_twist, rotation_of, rotation_vector, tumbling_rotation
 from imolo_backends.conformance.subject import ROUNDING, Errors, Run, SceneCheck, Subject, at_timestep, observed_order
-from imolo_backends.liberobot import foam_ball
+from imolo_robots.liberobot.body import foam_ball
 
 
 def free_fall(subject: Subject) -> Iterator[Measurement]:

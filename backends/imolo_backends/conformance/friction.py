@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from imolo.conformance import Measurement
+from imolo.contracts.engine import Array, BoxShape, Scene
 from imolo_backends.conformance.bodies import (
     BOX_SIDES,
     CONTACT_SINK,
@@ -16,8 +17,7 @@ from imolo_backends.conformance.bodies import (
     tilted_gravity,
 )
 from imolo_backends.conformance.subject import SceneCheck, Subject
-from imolo_backends.engine import Array, BoxShape, Scene
-from imolo_backends.liberobot import foam_ball
+from imolo_robots.liberobot.body import foam_ball
 
 SPEED = 2.0  # [m/s] of what is pushed
 FRICTION = 0.5

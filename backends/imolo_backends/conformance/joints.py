@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import ellipk
 
 from imolo.conformance import Measurement
+from imolo.contracts.engine import Array, EngineState, Scene
 from imolo_backends.conformance.bodies import (
     GRAVITY,
     ROD_INERTIA,
@@ -18,8 +19,7 @@ from imolo_backends.conformance.bodies import (
 )
 from imolo_backends.conformance.reference import Mechanism, double_pendulum_angles, rotation_of
 from imolo_backends.conformance.subject import ROUNDING, Errors, Run, SceneCheck, Subject, at_timestep
-from imolo_backends.engine import Array, EngineState, Scene
-from imolo_backends.liberobot import JOINT_LIMITS, JOINT_NAMES
+from imolo_robots.liberobot.body import JOINT_LIMITS, JOINT_NAMES
 
 ROD_ABOUT_END = ROD_INERTIA + 0.25 * ROD_MASS * ROD_LENGTH**2  # [kg m²]
 ROD_WEIGHT = 0.5 * ROD_MASS * GRAVITY * ROD_LENGTH  # [N·m] about the pivot, of a level rod

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from imolo.contracts.engine import Array, EngineState, Scene
+from imolo.contracts.urdf import Link, read_urdf
 from imolo_backends.conformance.bodies import GRAVITY, ROD_INERTIA, ROD_LENGTH, ROD_MASS
-from imolo_backends.engine import Array, EngineState, Scene
-from imolo_backends.urdf import Link, read_urdf
 
 DERIVATIVE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # of five equidistant values, in the middle; fourth order
 

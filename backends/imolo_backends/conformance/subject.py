@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imolo.conformance import Check, Measurement
-from imolo_backends.engine import Array, Engine, EngineOptions, EngineState, Scene
+from imolo.contracts.engine import Array, Engine, EngineOptions, EngineState, Scene
 
 Errors = Mapping[str, tuple[Array, float]]
 """By quantity, its SI unit in brackets at the end: an error, shape (N,), and the size of what it is an error of."""

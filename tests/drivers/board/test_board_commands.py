@@ -14,7 +14,7 @@ import pytest
 from board_link import PATIENCE, controller, running_board
 from typer.testing import CliRunner
 
-from imolo.cli import app
+from imolo.command_line.main import app
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
 from imolo_drivers.board_client import BoardClient
@@ -33,7 +33,7 @@ def address(board: object) -> str:
 
 @pytest.fixture
 def board_program() -> Iterator["subprocess.Popen[str]"]:
-    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "imolo.command_line.main", "board", "--listen", "127.0.0.1:0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
         yield program
         program.kill()
@@ -52,7 +52,7 @@ def test_terminal_that_is_held_up_does_not_hold_up_the_board() -> None:
     """As Ctrl-S does, or a slow network: here a pipe that nobody reads."""
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)  # [bytes] the smallest
-    command = [sys.executable, "-m", "imolo.cli", "board", "--listen", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "imolo.command_line.main", "board", "--listen", "127.0.0.1:0"]
     with subprocess.Popen(command, stderr=writing) as program, open(reading, "rb", buffering=0) as said:
         os.close(writing)
         port = int(re.findall(rb"127\.0\.0\.1:(\d+)", said.read(4096))[0])

@@ -8,8 +8,8 @@ import pytest
 from board_link import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messaging.messages import messages
 from requirements import needs
-from wire.messages import messages
 
 from imolo_drivers.framing import PAYLOADS, FrameType, encode_frame
 

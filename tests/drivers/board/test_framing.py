@@ -10,7 +10,7 @@ import pytest
 from board_link import command
 from hypothesis import given
 from hypothesis import strategies as st
-from wire.messages import messages, plain
+from messaging.messages import messages, plain
 
 from imolo_drivers.framing import (
     HEADER_SIZE,

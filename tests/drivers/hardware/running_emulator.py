@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-from experiment import trials
+import played_trials as trials
 
 from imolo.config.experiment import ExperimentConfig
 from imolo_drivers.board import BoardConfig

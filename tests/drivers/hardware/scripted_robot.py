@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
-from imolo.bus import Bus
 from imolo.config.experiment import ExperimentConfig
-from imolo.experiment.trainer import MotionPlayer
-from imolo.experiment.trial import Controller, run_trial
-from imolo.log import Log, read_log
+from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.registry import load_backend
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
-from imolo.registry import load_backend
+from imolo.trials.trainer import MotionPlayer
+from imolo.trials.trial import Controller, run_trial
 from imolo_drivers.board import BoardConfig
 from imolo_drivers.board_server import BoardServer, monotonic_utime
 from imolo_drivers.natnet.calibration import Calibration

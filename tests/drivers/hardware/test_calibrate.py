@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from scripted_robot import scripted_robot
 from typer.testing import CliRunner
 
-from imolo.cli import app
+from imolo.command_line.main import app
 from imolo.errors import CalibrationError, ConfigError
-from imolo_backends.liberobot import ready_markers
 from imolo_drivers.natnet.calibration import Z_UP, Calibration
+from imolo_robots.liberobot.body import ready_markers
 
 runner = CliRunner()
 TURN = Rotation.from_euler("zyx", [130.0, 1.5, -2.0], degrees=True).as_matrix()

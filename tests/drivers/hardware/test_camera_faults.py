@@ -24,11 +24,11 @@ from scripted_robot import (
     void,
 )
 
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
+from imolo.contracts.backend import EventName, Trial, TrialKind
 from imolo.errors import BackendError, NatNetError, NatNetVersionError, TrialVoidError
-from imolo.experiment.trainer import START_MARGIN
-from imolo.experiment.trial import Bystander
+from imolo.messaging import channels
+from imolo.trials.trainer import START_MARGIN
+from imolo.trials.trial import Bystander
 from imolo_drivers import hardware_backend
 from imolo_drivers.board_server import monotonic_utime
 from imolo_drivers.natnet.config import NatNetConfig

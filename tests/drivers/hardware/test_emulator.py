@@ -6,21 +6,21 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import played_trials as trials
 import pytest
-from experiment import trials
 from requirements import AVAILABLE
 from running_emulator import PATIENCE, RunningEmulator, emulator
 
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
-from imolo.channels import STREAMS
 from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.contracts.backend import EventName, Trial, TrialKind
 from imolo.errors import BackendError
-from imolo.experiment.recordings import hand_samples
-from imolo.experiment.trainer import START_MARGIN, MotionPlayer
-from imolo.experiment.trial import Bystander, Controller, run_trial
-from imolo.log import Log, read_log
+from imolo.messaging import channels
+from imolo.messaging.channels import STREAMS
+from imolo.messaging.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
+from imolo.trials.recordings import hand_samples
+from imolo.trials.trainer import START_MARGIN, MotionPlayer
+from imolo.trials.trial import Bystander, Controller, run_trial
 from imolo_drivers.board import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.config import NatNetServerConfig
@@ -120,7 +120,7 @@ def test_robot_is_not_emulated_by_a_robot() -> None:
 
 def test_program_says_where_it_is_and_ends(tmp_path: Path) -> None:
     ports = ["--listen", "127.0.0.1:0", "--motive", "127.0.0.1:0"]
-    command = [sys.executable, "-m", "imolo.cli", "emulate", "mujoco", *ports]
+    command = [sys.executable, "-m", "imolo.command_line.main", "emulate", "mujoco", *ports]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
         assert program.stderr is not None
         line = program.stderr.readline()

@@ -19,18 +19,18 @@ from scripted_robot import (
     void,
 )
 
-from imolo import channels
-from imolo.backend import EventName, Trial, TrialKind
-from imolo.bus import Bus
+from imolo.campaigns.campaign import TrialTask, run_tasks
+from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.registry import ready_simulations
 from imolo.errors import BackendError, ConfigError, TrialVoidError
-from imolo.experiment.campaign import TrialTask, run_tasks
-from imolo.experiment.trainer import START_MARGIN
-from imolo.experiment.trial import Bystander
 from imolo.live.backend_program import BackendProgram
 from imolo.live.identity import ClockMode
 from imolo.live.program import Console, Stop
-from imolo.log import read_log
-from imolo.registry import ready_simulations
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import read_log
+from imolo.trials.trainer import START_MARGIN
+from imolo.trials.trial import Bystander
 from imolo_drivers.board import VENTED_PRESSURE
 from imolo_drivers.natnet.messages import LabelledMarker
 from imolo_msgs import mocap_frame_t

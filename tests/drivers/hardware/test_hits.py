@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import hardware, learned
-from imolo.experiment.learning import build_table
+from imolo.trials.learning import build_table
 
 METHOD = "improved"
 

@@ -11,12 +11,12 @@ from natnet_capture import frames, recording
 from scipy.spatial.transform import Rotation
 
 from imolo.errors import CalibrationError, NatNetError
-from imolo_backends.liberobot import MARKERS
 from imolo_drivers.natnet import messages as m
 from imolo_drivers.natnet.calibration import Z_UP, Calibration, CalibrationLimits, fit
 from imolo_drivers.natnet.config import MarkerLabels
 from imolo_drivers.natnet.markers import find_labels, mocap_frame, rest_positions
 from imolo_msgs import marker_t
+from imolo_robots.liberobot.body import MARKERS
 
 KNOWN = {
     "right_hand": (0.1, -0.3, 0.9),

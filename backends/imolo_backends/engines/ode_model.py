@@ -1,0 +1,185 @@
+"""The robot in ODE: its bodies, hinges and shapes, built from the URDF, for which ODE has no loader."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from imolo.contracts.engine import Array, Scene
+from imolo.contracts.urdf import CollisionShape, Joint, RobotModel, read_urdf
+from imolo.errors import BackendError
+from imolo_backends.engines.engine_checks import base_rotation, check_links, check_value
+from imolo_backends.engines.rigid_parts import find_places, merge_fixed
+
+try:
+    import ode as ode
+
+    ode.HingeJoint  # noqa: B018 - PyPI has another package of this name
+except (ImportError, AttributeError) as error:
+    raise ImportError(f"{error}; get the Open Dynamics Engine with: make ode") from error
+
+# pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
+LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10
+
+Pose = tuple[Array, Array]
+
+
+class OdeRobot:
+    """The robot of one world.
+
+    Links that fixed joints hold together are one body, and a fixed base is none, so that neither can give.
+
+    Attributes:
+        shapes: By collision shape: the body it moves with, None for what is fixed, and the name of its link.
+        hinges: In the order of the scene's joints.
+    """
+
+    def __init__(self, world: Any, space: Any, scene: Scene, stop_erp: float) -> None:
+        robot = read_urdf(scene.urdf)
+        self._world, self._scene = world, scene
+        self._model = model = merge_fixed(robot)
+        self._places = find_places(robot)
+        self._base_pose = base = np.array(scene.base_position), base_rotation(scene)
+        self._bodies = {
+            name: make_body(world, link.mass, link.inertia)
+            for name, link in model.links.items()
+            if not (scene.fixed_base and name == model.base)
+        }
+        # ODE's angles are zero where the joint is made, and stops must lie within half a turn of it.
+        zero = {name: sum(model.joints[name].limits or (0.0, 0.0)) / 2.0 for name in scene.joint_names}
+        poses = model.link_poses(zero, *base)
+        self._place_bodies(poses)
+        self.hinges = [self._make_hinge(model.joints[name], poses, stop_erp) for name in scene.joint_names]
+        self.shapes: dict[Any, tuple[Any, str]] = {}
+        for name, link in robot.links.items():
+            for collision in link.collisions:
+                self._add_shape(space, name, collision)
+        self._start()
+
+        self._zero = np.array([zero[name] for name in scene.joint_names])
+        self._wrapped = [hinge.getAngle() for hinge in self.hinges]
+        self._turning = [i for i, name in enumerate(scene.joint_names) if model.joints[name].limits is None]
+        for i in self._turning:
+            self._zero[i] += math.tau * round((scene.joint_angle[i] - self._wrapped[i]) / math.tau)
+        self._get_angle = [hinge.getAngle for hinge in self.hinges]
+        self._get_velocity = [hinge.getAngleRate for hinge in self.hinges]
+
+    def count_turns(self) -> None:
+        """Follow joints without limits beyond half a turn; to be called after every step."""
+        for i in self._turning:
+            before, now = self._wrapped[i], self._get_angle[i]()
+            if abs(now - before) > math.pi:
+                self._zero[i] += math.copysign(math.tau, before - now)
+            self._wrapped[i] = now
+
+    def write_motion(self, angle: Array, velocity: Array) -> None:
+        """Write joint angles [rad] and velocities [rad/s], each of shape (J,)."""
+        angle[:] = [get() for get in self._get_angle]
+        angle += self._zero
+        velocity[:] = [get() for get in self._get_velocity]
+
+    def base_speed(self) -> tuple[float, ...]:
+        """Return linear [m/s] and angular velocity [rad/s] of the base's COM; nothing where the base is fixed."""
+        base = self._bodies.get(self._model.base)
+        return () if base is None else (*base.getLinearVel(), *base.getAngularVel())
+
+    def link_poses(self) -> tuple[Array, Array, Array]:
+        """Return origins [m], shape (L, 3), and rotation matrices, shape (L, 3, 3), and the base's quaternion."""
+        poses = {self._model.base: self._base_pose}
+        for name, body in self._bodies.items():
+            rotation = np.array(body.getRotation()).reshape(3, 3)
+            poses[name] = np.array(body.getPosition()) - rotation @ self._model.links[name].com, rotation
+        links = []
+        for name in self._scene.link_names:
+            place = self._places[name]
+            position, rotation = poses[place.part]
+            links.append((position + rotation @ place.position, rotation @ place.rotation))
+        base = self._bodies.get(self._model.base)
+        quaternion = self._scene.base_quaternion if base is None else base.getQuaternion()
+        positions, rotations = map(np.array, zip(*links, strict=True))
+        return positions, rotations, np.array(quaternion)
+
+    def check(self, robot: RobotModel, stop_erp: float, cfm: float) -> None:
+        """Compare what ODE holds with the URDF.
+
+        Raises:
+            BackendError: A value differs.
+        """
+        expected, loaded = merge_fixed(robot), {}
+        for name, body in self._bodies.items():
+            mass = body.getMass()
+            loaded[name] = mass.mass, self._model.links[name].com, np.array(mass.I)
+        if self._scene.fixed_base:
+            base = expected.links[expected.base]
+            loaded[base.name] = base.mass, base.com, base.inertia
+        check_links(expected, loaded)
+        for name, hinge, zero in zip(self._scene.joint_names, self.hinges, self._zero, strict=True):
+            limits = expected.joints[name].limits
+            if limits is not None:
+                stops = hinge.getParam(LOWER_STOP) + zero, hinge.getParam(UPPER_STOP) + zero
+                check_value(f"limits of {name} [rad]", stops, limits)
+                stop = [hinge.getParam(number) for number in (STOP_BOUNCE, STOP_ERP, STOP_CFM)]
+                check_value(f"bounce, ERP and CFM of {name}'s stops", stop, (0.0, stop_erp, cfm))
+
+    def _start(self) -> None:
+        scene, (position, rotation) = self._scene, self._base_pose
+        angles = dict(zip(scene.joint_names, scene.joint_angle, strict=True))
+        self._place_bodies(self._model.link_poses(angles, position, rotation))
+        spin = np.array(scene.base_angular_velocity)
+        for body in self._bodies.values():
+            arm = np.array(body.getPosition()) - position
+            body.setLinearVel((np.array(scene.base_velocity) + np.cross(spin, arm)).tolist())
+            body.setAngularVel(spin.tolist())
+
+    def _place_bodies(self, poses: dict[str, Pose]) -> None:
+        for name, body in self._bodies.items():
+            position, rotation = poses[name]
+            body.setPosition((position + rotation @ self._model.links[name].com).tolist())
+            body.setRotation(rotation.ravel().tolist())
+
+    def _make_hinge(self, joint: Joint, poses: dict[str, Pose], stop_erp: float) -> Any:
+        position, rotation = poses[joint.parent]
+        hinge = ode.HingeJoint(self._world)
+        # In this order the angle has the URDF's sign.
+        hinge.attach(self._bodies[joint.child], self._bodies.get(joint.parent, ode.environment))
+        hinge.setAnchor((position + rotation @ joint.position).tolist())
+        hinge.setAxis((rotation @ joint.rotation @ joint.axis).tolist())
+        if joint.limits is not None:
+            half_range = 0.5 * (joint.limits[1] - joint.limits[0])
+            if not half_range < math.pi:
+                raise BackendError(f"ODE cannot limit {joint.name} to {joint.limits} rad, a whole turn or more")
+            hinge.setParam(LOWER_STOP, -half_range)
+            hinge.setParam(UPPER_STOP, half_range)
+            hinge.setParam(STOP_ERP, stop_erp)
+        return hinge
+
+    def _add_shape(self, space: Any, name: str, collision: CollisionShape) -> None:
+        match collision.kind:
+            case "box":
+                shape = ode.GeomBox(space, collision.size)
+            case "sphere":
+                shape = ode.GeomSphere(space, *collision.size)
+            case "cylinder":
+                shape = ode.GeomCylinder(space, *collision.size)
+        place = self._places[name]
+        body = self._bodies.get(place.part)
+        position = place.position + place.rotation @ collision.position
+        rotation = place.rotation @ collision.rotation
+        if body is None:
+            base_position, base_turn = self._base_pose
+            shape.setPosition((base_position + base_turn @ position).tolist())
+            shape.setRotation((base_turn @ rotation).ravel().tolist())
+        else:
+            shape.setBody(body)
+            shape.setOffsetPosition((position - self._model.links[place.part].com).tolist())
+            shape.setOffsetRotation(rotation.ravel().tolist())
+        self.shapes[shape] = body, name
+
+
+def make_body(world: Any, mass: float, inertia: Array) -> Any:
+    """Return a body of this mass [kg] and inertia [kg m²], whose frame has its origin at the COM, as ODE wants it."""
+    body, made = ode.Body(world), ode.Mass()
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+    made.setParameters(mass, 0.0, 0.0, 0.0, xx, yy, zz, xy, xz, yz)
+    body.setMass(made)
+    return body

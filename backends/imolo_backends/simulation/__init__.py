@@ -1,0 +1,1 @@
+"""The simulated backend: one engine, and all that surrounds it."""

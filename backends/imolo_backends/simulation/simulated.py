@@ -1,0 +1,318 @@
+"""The simulated backend: one engine, the plant around it and the streams, stepped event by event."""
+
+import heapq
+import itertools
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.model import Model
+from imolo.config.simulation import SimulationConfig
+from imolo.conformance import Check, Limitation
+from imolo.contracts.backend import Backend, BackendPlugin, EventName, Trial, TrialKind
+from imolo.contracts.engine import Array, Ball, Engine, EngineOptions, EngineState
+from imolo.errors import DivergenceError, MessageError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.method.motion import Commands
+from imolo_backends.actuators.plant import Plant
+from imolo_backends.conformance import engine_checks
+from imolo_backends.simulation.disturbance import draw_disturbance
+from imolo_backends.simulation.mocap import Mocap
+from imolo_backends.simulation.start_up import check_start_up
+from imolo_backends.simulation.thrower import GRAVITY, draw_throw
+from imolo_backends.simulation.valve_schedule import ValveSchedule
+from imolo_msgs import trial_event_t, truth_ball_t, truth_robot_t, valve_command_t, valve_pressure_t
+from imolo_robots.liberobot.body import (
+    ARM_LINKS,
+    FOOT_LINKS,
+    HAND_OFFSET,
+    JOINT_LIMITS,
+    JOINT_NAMES,
+    LINK_NAMES,
+    READY_JOINT_ANGLE,
+    ROBOT_NAME,
+    SOLE_RADIUS,
+    ready_scene,
+    robot_description,
+)
+
+logger = logging.getLogger(__name__)
+
+TOUCHDOWN_MARGIN = 0.002  # [m] above the floor at which a sole counts as landed
+FEET = tuple((LINK_NAMES.index(link), link) for link in FOOT_LINKS)
+RIGHT_ARM, LEFT_ARM = (LINK_NAMES.index(link) for link in ARM_LINKS)
+PLATE = np.array(HAND_OFFSET)  # [m] its centre in the arm frame
+
+
+class SimulatedBackend:
+    """Runs any engine under the shared plant and publishes the same streams for all of them.
+
+    Time is counted in engine steps; whatever happens between them (a frame, a phase switch, the release of the ball)
+    is an event at a step, so that the loop over the steps holds nothing but air and rigid bodies.
+    """
+
+    def __init__(self, name: str, config: SimulationConfig, engine: type[Engine], options: Model) -> None:
+        """Prepare; nothing is loaded before `start`.
+
+        Args:
+            name: Public name of the backend.
+            config: Everything around the engine.
+            engine: Class of the engine.
+            options: The engine's own options.
+        """
+        self._name = name
+        self._config = config
+        self._engine_class = engine
+        self._options = options
+        self._step = 0
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self._happened: set[EventName] = set()
+        # `Bus.publish` encodes at once, so that one message of each stream is enough.
+        self._pressure = valve_pressure_t()
+        self._truth_robot = truth_robot_t()
+        self._truth_ball = truth_ball_t()
+
+    @property
+    def utime(self) -> int:
+        """Simulated time [µs]."""
+        return round(self._step * self._config.timestep * 1e6)
+
+    def start(self, bus: Bus, trial: Trial) -> None:
+        """Load the scene, bring the robot to its ready pose and join the bus."""
+        config = self._config
+        self._bus = bus
+        self._trial = trial
+        throw = draw_throw(config.thrower, config.ball, trial.index, trial.generator("throw"))
+        disturbance = draw_disturbance(
+            config.disturbance, np.array(READY_JOINT_ANGLE), JOINT_LIMITS, trial.generator("disturbance")
+        )
+        ball = Ball(
+            radius=config.ball.radius,
+            mass=config.ball.mass,
+            inertia=0.4 * config.ball.mass * config.ball.radius**2,
+            position=tuple(throw.position.tolist()),
+        )
+        scene = ready_scene(
+            ball=ball,
+            timestep=config.timestep,
+            friction=config.contact.friction,
+            restitution=config.contact.restitution,
+            sole=config.sole,
+            joint_offset=disturbance.joint_angle,
+        )
+        check_start_up(self._engine_class, self._options, config.timestep)
+        self._engine = self._engine_class(scene, self._options)
+        self._plant = Plant(
+            config.pneumatics,
+            config.ball,
+            config.timestep,
+            JOINT_LIMITS,
+            np.array(scene.joint_angle),
+            disturbance.plant,
+        )
+        self._schedule = ValveSchedule(np.array(config.pneumatics.rest_pressure))
+        self._mocap = Mocap(config.mocap, LINK_NAMES, trial.generator("mocap"))
+        self._pressure_rng = trial.generator("pressure")
+        self._hold_force = np.array([0.0, 0.0, config.ball.mass * GRAVITY])
+        self._released = False
+        self._throw = throw
+        self._state = self._engine.read()
+        self._state_step = 0
+        bus.subscribe(channels.VALVE_COMMAND, self._on_command)
+        self._every(config.pressure_rate, self._tell_pressure)
+        self._every(config.truth_rate, self._tell_truth)
+        self._every(config.mocap.rate, self._expose)
+        if trial.kind is not TrialKind.TRAINING:
+            self._at(throw.release_time, self._release)
+
+    def advance(self, until_utime: int) -> None:
+        """Simulate up to `until_utime` [µs], and to the end of the step it lies in.
+
+        Raises:
+            DivergenceError: The state is no longer finite.
+        """
+        end = math.ceil(until_utime * 1e-6 / self._config.timestep - 1e-6)
+        while self._step < end:
+            self._run(min(end, self._events[0][0]) - self._step)
+            while self._events and self._events[0][0] <= self._step:
+                heapq.heappop(self._events)[2]()
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._engine.close()
+
+    def _run(self, steps: int) -> None:
+        plant_step, engine_step, motion = self._plant.step, self._engine.step, self._engine.motion
+        torque = self._plant.joint_torque
+        ball_force = self._plant.ball_force if self._released else self._hold_force
+        angle, velocity, ball_velocity = motion()
+        for _ in range(steps):
+            plant_step(angle, velocity, ball_velocity)
+            engine_step(torque, ball_force)
+            angle, velocity, ball_velocity = motion()
+        self._step += steps
+
+    def _at(self, time: float, action: Callable[[], None]) -> None:
+        step = max(math.ceil(time / self._config.timestep - 1e-6), self._step)
+        heapq.heappush(self._events, (step, next(self._order), action))
+
+    def _every(self, rate: float, action: Callable[[], None]) -> None:
+        counter = itertools.count(1)
+
+        def fire() -> None:
+            action()
+            self._at(next(counter) / rate, fire)
+
+        self._at(next(counter) / rate, fire)
+
+    def _release(self) -> None:
+        # One step of force that leaves exactly the release velocity behind.
+        self._hold_force += self._config.ball.mass * self._throw.velocity / self._config.timestep
+        self._run(1)
+        self._released = True
+        self._announce_once(
+            EventName.THROW, self._throw.position, f"velocity {np.round(self._throw.velocity, 3).tolist()} m/s"
+        )
+
+    def _on_command(self, message: valve_command_t) -> None:
+        try:
+            commands = Commands.from_message(message, self._config.pneumatics.supply_pressure)
+        except MessageError as error:
+            logger.warning("refused a valve command at %d us: %s", message.utime, error)
+            return
+        if self._schedule.accept(commands):
+            self._follow_schedule()
+            for change in self._schedule.changes_after(self.utime):
+                self._at(change * 1e-6, self._follow_schedule)
+
+    def _follow_schedule(self) -> None:
+        self._plant.target[:] = self._schedule.target(self.utime)
+        late = self._schedule.time_since_onset(self.utime)
+        if late is not None:
+            self._announce_once(EventName.ONSET, np.zeros(3), f"{late} us after the commanded onset")
+
+    def _tell_pressure(self) -> None:
+        utime = self.utime
+        pressure = self._pressure
+        pressure.utime = utime
+        pressure.pressure_sequence += 1
+        noise = self._pressure_rng.normal(0.0, self._config.pressure_noise, 8)
+        pressure.pressure = (self._plant.valve_pressure + noise).tolist()
+        self._bus.publish(channels.VALVE_PRESSURE, pressure)
+
+    def _tell_truth(self) -> None:
+        state = self._read()
+        utime = self.utime
+        _tell_robot(self._truth_robot, utime, state)
+        self._bus.publish(channels.TRUTH_ROBOT, self._truth_robot)
+        _tell_ball(self._truth_ball, utime, state)
+        self._bus.publish(channels.TRUTH_BALL, self._truth_ball)
+
+    def _expose(self) -> None:
+        self._mocap.expose(self.utime, self._read())
+        self._at(self.utime * 1e-6 + self._config.mocap.latency, self._deliver)
+
+    def _deliver(self) -> None:
+        for frame in self._mocap.deliver(self.utime):
+            self._bus.publish(channels.MOCAP, frame)
+
+    def _read(self) -> EngineState:
+        if self._state_step == self._step:
+            return self._state
+        state = self._engine.read()
+        self._state, self._state_step = state, self._step
+        self._check_finite(state)
+        for contact in state.ball_contacts:
+            if contact.other in ARM_LINKS and EventName.BALL_LANDED not in self._happened:
+                detail = f"{contact.other}, {contact.force:.1f} N"
+                self._announce_once(EventName.HIT, contact.position, detail, round(contact.time * 1e6))
+            elif contact.other not in LINK_NAMES:
+                detail = f"on {contact.other}"
+                self._announce_once(EventName.BALL_LANDED, contact.position, detail, round(contact.time * 1e6))
+        for index, link in FEET:
+            if state.link_position[index, 2] < SOLE_RADIUS + TOUCHDOWN_MARGIN:
+                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], link)
+        return state
+
+    def _check_finite(self, state: EngineState) -> None:
+        # Of so few numbers Python's sum is the fastest.
+        if not math.isfinite(sum(state.joint_angle.tolist()) + sum(state.joint_velocity.tolist())):
+            joint = int(np.argmin(np.isfinite(state.joint_angle) & np.isfinite(state.joint_velocity)))
+            where = f"joint {JOINT_NAMES[joint]}"
+        elif not math.isfinite(state.link_position.sum()):
+            where = "the trunk"
+        elif not math.isfinite(sum(state.ball_position.tolist()) + sum(state.ball_velocity.tolist())):
+            where = "the ball"
+        else:
+            return
+        raise DivergenceError(
+            f"{self._name}: {where} is no longer finite at {state.time:.4f} s of {self._trial.kind} trial "
+            f"{self._trial.index}; try a smaller simulation.timestep than {self._config.timestep:g} s"
+        )
+
+    def _announce_once(self, event: EventName, position: Array, detail: str, utime: int | None = None) -> None:
+        if event in self._happened:
+            return
+        self._happened.add(event)
+        message = trial_event_t()
+        message.utime = self.utime if utime is None else utime
+        message.trial = self._trial.index
+        message.event = event.value
+        message.robot = ROBOT_NAME
+        message.backend = self._name
+        message.event_position = position.tolist()
+        message.detail = detail
+        self._bus.publish(channels.TRIAL, message)
+
+
+def simulated_plugin(
+    engine: type[Engine],
+    options: type[EngineOptions],
+    summary: str,
+    limitations: Sequence[Limitation] = (),
+    ingredients: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
+) -> BackendPlugin:
+    """Return what an engine's module offers as its entry point.
+
+    Args:
+        engine: The engine.
+        options: Model of its options.
+        summary: One line for `imolo backends`.
+        limitations: What it cannot do under its default options, see `imolo check`.
+        ingredients: What `imolo attribute` may exchange, see `BackendPlugin`.
+    """
+
+    def create(config: ExperimentConfig, chosen: Model) -> Backend:
+        return SimulatedBackend(config.backend.name, config.simulation, engine, chosen)
+
+    def checks(chosen: Model) -> tuple[Check, ...]:
+        return engine_checks(engine, options.model_validate(chosen.model_dump()))
+
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {}, robot_description())
+
+
+def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:
+    truth.utime = utime
+    truth.trunk_position = state.link_position[0].tolist()
+    truth.trunk_quaternion = state.base_quaternion.tolist()
+    truth.joint_angle = state.joint_angle.tolist()
+    truth.joint_velocity = state.joint_velocity.tolist()
+    truth.right_hand_position = _plate_position(state, RIGHT_ARM)
+    truth.left_hand_position = _plate_position(state, LEFT_ARM)
+
+
+def _plate_position(state: EngineState, arm: int) -> list[float]:
+    position: list[float] = (state.link_position[arm] + state.link_rotation[arm].dot(PLATE)).tolist()
+    return position
+
+
+def _tell_ball(truth: truth_ball_t, utime: int, state: EngineState) -> None:
+    truth.utime = utime
+    truth.true_ball_position = state.ball_position.tolist()
+    truth.true_ball_velocity = state.ball_velocity.tolist()

@@ -1,0 +1,90 @@
+"""The machine that throws the ball (Sec. VII-A)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+
+from imolo.config.simulation import BallConfig, ThrowerConfig
+from imolo.contracts.engine import Array
+from imolo.errors import ConfigError
+
+GRAVITY = 9.81  # [m/s²]
+FASTEST = 50.0  # [m/s] no machine throws a foam ball faster, and the drag law would not hold
+
+
+@dataclass(frozen=True)
+class Throw:
+    """One throw.
+
+    Attributes:
+        position: Where the ball is released [m], shape (3,).
+        velocity: With which it is released [m/s], shape (3,).
+        release_time: Time since the start of the trial [s].
+        aim_point: Where the machine was aimed at [m], shape (3,).
+    """
+
+    position: Array
+    velocity: Array
+    release_time: float
+    aim_point: Array
+
+
+def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.random.Generator) -> Throw:
+    """Draw the throw of one trial; the positions take turns.
+
+    Raises:
+        ConfigError: No release velocity reaches the aim point in the flight time.
+    """
+    position = np.array(thrower.positions[index % len(thrower.positions)])
+    aim_point = np.array(thrower.aim_center) + rng.uniform(-1.0, 1.0, 3) * np.array(thrower.aim_spread)
+    flight_time = thrower.flight_time + rng.uniform(-1.0, 1.0) * thrower.flight_time_spread
+    velocity = aimed_velocity(ball, position, aim_point, flight_time)
+    speed = np.linalg.norm(velocity) * (1.0 + rng.normal(0.0, thrower.speed_scatter))
+    elevation = math.asin(velocity[2] / np.linalg.norm(velocity)) + rng.normal(0.0, thrower.angle_scatter)
+    azimuth = math.atan2(velocity[1], velocity[0]) + rng.normal(0.0, thrower.angle_scatter)
+    direction = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
+    return Throw(position, speed * direction, rng.uniform(*thrower.hold_time), aim_point)
+
+
+def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_time: float) -> Array:
+    """Return the release velocity with which the ball, slowed by the air, is at the aim point after the flight time.
+
+    Args:
+        ball: Gives mass and drag.
+        position: Release point [m], shape (3,).
+        aim_point: [m], shape (3,).
+        flight_time: [s].
+
+    Returns:
+        Velocity [m/s], shape (3,).
+
+    Raises:
+        ConfigError: There is none.
+    """
+    drag = 0.5 * ball.air_density * ball.drag_coefficient * math.pi * ball.radius**2 / ball.mass
+
+    def derivative(_: float, state: Array) -> Array:
+        velocity = state[3:]
+        acceleration = -drag * np.linalg.norm(velocity) * velocity - np.array([0.0, 0.0, GRAVITY])
+        return np.concatenate((velocity, acceleration))
+
+    def miss(velocity: Array) -> Array:
+        flight = solve_ivp(derivative, (0.0, flight_time), np.concatenate((position, velocity)), rtol=1e-9, atol=1e-9)
+        return np.asarray(flight.y[:3, -1] - aim_point)
+
+    too_far = ConfigError(
+        f"no throw from {position.tolist()} at up to {FASTEST:g} m/s is at {aim_point.tolist()} after "
+        f"{flight_time:g} s; aim nearer or give it more time"
+    )
+    without_drag = (aim_point - position) / flight_time + np.array([0.0, 0.0, 0.5 * GRAVITY * flight_time])
+    if np.linalg.norm(without_drag) > FASTEST:
+        raise too_far
+    solution = root(miss, without_drag)
+    if not solution.success or np.abs(solution.fun).max() > 1e-6 or np.linalg.norm(solution.x) > FASTEST:
+        raise too_far
+    return np.asarray(solution.x)

@@ -1,0 +1,1 @@
+"""Liberobot, the pneumatic humanoid of the paper."""

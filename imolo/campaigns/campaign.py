@@ -1,0 +1,285 @@
+"""Run many trials at once, on all cores or machines, and keep what is done when one fails or the user stops."""
+
+import contextlib
+import logging
+import multiprocessing
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from imolo.ball.fit import restore_ball_model
+from imolo.ball.model import BallModel
+from imolo.campaigns.kept_trials import (
+    TrialTiming,
+    discard_partial,
+    environment,
+    file_digest,
+    keep,
+    kept,
+    partial_path,
+    partial_paths,
+    set_aside,
+)
+from imolo.campaigns.workers import run_on_cores, run_on_dask
+from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.registry import load_backend
+from imolo.errors import BusError, ConfigError, TrialVoidError, WorkerError
+from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
+from imolo.messaging.log import LOG_SUFFIX
+from imolo.method.planner import Planner
+from imolo.method.table import LookupTable
+from imolo.trials.trainer import START_MARGIN, MotionPlayer
+from imolo.trials.trial import Bystander, Controller, run_trial
+
+logger = logging.getLogger(__name__)
+
+ARRIVAL = 10.0  # [s] a shared file system may take to show what another machine wrote
+_ONE_TRIAL_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class TrialTask:
+    """One trial to run.
+
+    Attributes:
+        config: Of the experiment.
+        trial: Which trial.
+        log_path: Log to write.
+        method: Name of the method that plans; empty where nothing is planned.
+        table_path: Its table; None where nothing is planned.
+        duration: Of a training motion's trial [s]; until its last sample if not given.
+    """
+
+    config: ExperimentConfig
+    trial: Trial
+    log_path: Path
+    method: str = ""
+    table_path: Path | None = None
+    duration: float | None = None
+
+
+def learning_tasks(config: ExperimentConfig, folder: Path) -> list[TrialTask]:
+    """Return the throws and the training motions that an experiment learns from."""
+    throws = [Trial(TrialKind.THROW, index, config.seed) for index in range(config.campaign.learning_throws)]
+    motions = [Trial(TrialKind.TRAINING, index, config.seed) for index in range(len(config.training.motions))]
+    return [TrialTask(config, trial, folder / log_name(trial)) for trial in (*throws, *motions)]
+
+
+def hit_tasks(config: ExperimentConfig, folder: Path, method: str, table_path: Path) -> list[TrialTask]:
+    """Return the trials in which a method is to hit the balls."""
+    trials = [Trial(TrialKind.HIT, index, config.seed) for index in range(config.campaign.balls)]
+    return [TrialTask(config, trial, folder / log_name(trial), method, table_path) for trial in trials]
+
+
+def log_name(trial: Trial) -> str:
+    """Return the file name of a trial's log."""
+    return f"{trial.kind.value}_{trial.index:03d}{LOG_SUFFIX}"
+
+
+def run_tasks(
+    tasks: Sequence[TrialTask], jobs: int, on_done: Callable[[TrialTask], None] = lambda _: None
+) -> list[TrialTiming]:
+    """Run trials where `campaign.parallel` says; the logs depend neither on that nor on the number of processes.
+
+    Trials whose complete logs are there are not run again. A trial whose process dies is repeated.
+
+    Args:
+        tasks: What to run.
+        jobs: Number of processes, or -1 for one per core; a cluster has as many as it has, a robot needs one.
+        on_done: Called after each trial, first for those that were there, then in the order in which they end.
+
+    Returns:
+        The timings in the order of the tasks.
+
+    Raises:
+        ConfigError: Several processes would share one bus, or a cluster would move a robot.
+        TrialVoidError: A robot was lost in a trial; its log is kept.
+        ResultsError: A log is there that is of another campaign.
+        WorkerError: A trial's process died each time, or the cluster cannot be used.
+        ImoloError: A trial failed; the logs of the others stay.
+    """
+    if not tasks:
+        return []
+    parallel = tasks[0].config.campaign.parallel
+    shared = next((task.config.bus for task in tasks if not task.config.bus.startswith("memq:")), None)
+    if shared is not None and (jobs != 1 or parallel.backend != "loky"):
+        raise ConfigError(
+            f"trials run at once would mix their messages on the bus {shared!r}; give --jobs 1 or memq://"
+        )
+    if not all(load_backend(name).simulated for name in {task.config.backend.name for task in tasks}):
+        if parallel.backend != "loky":
+            raise ConfigError("a robot can do one trial at a time, on this machine; leave --scheduler out")
+        jobs = 1
+    origins = _origins(tasks)
+    timings: dict[int, TrialTiming] = {}
+    left: list[tuple[int, TrialTask]] = []
+    for number, task in enumerate(tasks):
+        timing = kept(task.log_path, origins[number])
+        if timing is None:
+            left.append((number, task))
+            discard_partial(task.log_path)
+        else:
+            timings[number] = timing
+            on_done(task)
+    work = [_Work(with_absolute_paths(task), origins[number]) for number, task in left]
+    if not work:
+        ended: Iterable[tuple[int, TrialTiming]] = ()
+    elif parallel.backend == "dask":
+        ended = run_on_dask(_run_far, work, parallel)
+    elif jobs == 1:
+        ended = enumerate(map(_run_here, work))
+    else:
+        ended = run_on_cores(_run_here, work, jobs, parallel.retries, _Work.was_begun)
+    for index, timing in ended:
+        number, task = left[index]
+        _check_arrival(task)
+        discard_partial(task.log_path)
+        timings[number] = timing
+        on_done(task)
+    return [timings[number] for number in range(len(tasks))]
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A trial and the origin to write beside its log."""
+
+    task: TrialTask
+    origin: dict[str, str]
+
+    def __str__(self) -> str:
+        task = self.task
+        method = f", method {task.method}" if task.method else ""
+        return f"trial {task.trial.kind.value} {task.trial.index} on {task.config.backend.name}{method}"
+
+    def was_begun(self) -> bool:
+        """Tell whether a process died over it."""
+        return bool(partial_paths(self.task.log_path))
+
+
+def _origins(tasks: Sequence[TrialTask]) -> list[dict[str, str]]:
+    """Return what each log comes from."""
+    configs = {id(task.config): task.config for task in tasks}
+    digests = {key: config.digest() for key, config in configs.items()}
+    tables = {path: file_digest(path) for path in {task.table_path for task in tasks} if path is not None}
+    return [
+        {
+            "seed": str(task.trial.seed),
+            "config": digests[id(task.config)],
+            "method": task.method,
+            "duration": "" if task.duration is None else str(task.duration),
+            "table": tables[task.table_path] if task.table_path is not None else "",
+            **environment(),
+        }
+        for task in tasks
+    ]
+
+
+def with_absolute_paths(task: TrialTask) -> TrialTask:
+    """Return a task as it is for a process that was started in another folder."""
+    table = None if task.table_path is None else task.table_path.absolute()
+    return replace(task, log_path=task.log_path.absolute(), table_path=table)
+
+
+def _check_arrival(task: TrialTask) -> None:
+    """Refuse a log that a worker wrote to a disk of its own.
+
+    Raises:
+        WorkerError: The log is not there.
+    """
+    deadline = time.monotonic() + ARRIVAL
+    while not task.log_path.is_file():
+        if time.monotonic() > deadline:
+            raise WorkerError(
+                f"a worker wrote {task.log_path}, but it is not there; choose an --out that all machines share"
+            )
+        # A look at the folder makes a network file system ask its server.
+        list(task.log_path.parent.glob("*"))
+        time.sleep(0.1)
+
+
+def leave_interrupts_to_the_parent() -> None:
+    """Let Ctrl-C end the process that was started, which then ends its workers, without a word from these."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_here(work: _Work) -> TrialTiming:
+    leave_interrupts_to_the_parent()
+    return _run_and_keep(work)
+
+
+def _run_far(work: _Work) -> TrialTiming:
+    """Run a trial on a worker of a cluster, which may run several threads in a process and another version of imolo."""
+    host = socket.gethostname()
+    here = environment()
+    different = [f"{key} {here.get(key)}" for key in here if here[key] != work.origin.get(key)]
+    if different:
+        raise WorkerError(
+            f"the worker on {host} has {', '.join(different)}, unlike the machine of the command; install the same"
+        )
+    try:
+        with _ONE_TRIAL_AT_A_TIME:
+            return _run_and_keep(work)
+    except BusError as error:
+        raise BusError(f"the worker on {host}: {error} that all machines share") from error
+
+
+def _run_and_keep(work: _Work) -> TrialTiming:
+    partial = partial_path(work.task.log_path)
+    try:
+        timing = run_task(replace(work.task, log_path=partial))
+    except TrialVoidError as void:
+        kept_log = set_aside(partial, work.task.log_path)
+        raise TrialVoidError(f"{work} is void: {void} (log: {kept_log}); give the same command to go on") from void
+    keep(partial, work.task.log_path, work.origin, timing)
+    return timing
+
+
+def run_task(task: TrialTask) -> TrialTiming:
+    """Run one trial in this process."""
+    config, trial = task.config, task.trial
+    controller: Controller = Bystander()
+    duration = config.campaign.duration
+    decisions: list[float] = []
+    on_robot = not load_backend(config.backend.name).simulated
+    if trial.kind is TrialKind.TRAINING:
+        theta = config.training.motions[trial.index]
+        controller = MotionPlayer(config.motion, theta)
+        duration = task.duration or START_MARGIN + theta.t_w + config.training.sampled_to
+    elif task.table_path is not None:
+        table, ball_model = load_learned(task.table_path, config.robot.name)
+        controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
+        if on_robot:
+            controller.warm_up()
+    begin = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        # One thread, so that the sums do not depend on the number of cores.
+        stack.enter_context(threadpool_limits(limits=1))
+        if on_robot:
+            logger.info("%s", stack.enter_context(claimed_priority(BACKEND_PRIORITY)))
+        simulated = run_trial(config, trial, controller, task.log_path, duration)
+    return TrialTiming(simulated=simulated, elapsed=time.perf_counter() - begin, decisions=tuple(decisions))
+
+
+def load_learned(path: Path, robot: str) -> tuple[LookupTable, BallModel]:
+    """Return the table of a file and the ball model it was learned with.
+
+    Raises:
+        TableFileError: The file cannot be read, or is for another robot.
+    """
+    modified = path.stat().st_mtime_ns if path.is_file() else 0
+    return _load(path, modified, robot)
+
+
+@lru_cache(maxsize=2)  # of some 140 MB each; loky ends a process that grows by more than 300 MB
+def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, BallModel]:
+    table = LookupTable.load(path, robot)
+    return table, restore_ball_model(table.origin["ball_model"])

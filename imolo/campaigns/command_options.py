@@ -1,0 +1,81 @@
+"""The options of the commands that run trials, and what they do."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imolo.command_line.terminal import say
+
+# Imported by what needs it, so that `--help` stays quick.
+if TYPE_CHECKING:
+    from imolo.campaigns.results import ResultsFolder
+    from imolo.config.experiment import ExperimentConfig
+
+ConfigPaths = Annotated[
+    list[Path] | None,
+    typer.Argument(help="One YAML per backend, alike but for the backend [default: every backend that is ready]."),
+]
+Out = Annotated[Path, typer.Option(help="Results folder.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the seed of the configs.")]
+Balls = Annotated[int | None, typer.Option(min=1, help="Replaces the number of balls of the configs.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Delete the trials in the results folder and run all anew.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Run the trials on the workers of this Dask scheduler, such as tcp://127.0.0.1:8786.")
+]
+
+
+def load_configs(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
+    """Read the configs that are named; where none is, return that of every simulated backend that is ready.
+
+    Raises:
+        ConfigError: A config cannot be used.
+        BackendNotFoundError: A backend is unknown or not installed, or none is ready.
+    """
+    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.contracts.registry import ready_simulations
+
+    if paths:
+        return [load_config(path) for path in paths]
+    return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready_simulations()]
+
+
+def override(
+    config: "ExperimentConfig", *, seed: int | None = None, balls: int | None = None, scheduler: str | None = None
+) -> "ExperimentConfig":
+    """Return the config with what the options replace; None leaves it as it is."""
+    from imolo.config.experiment import ParallelConfig
+
+    changes: dict[str, object] = {}
+    if seed is not None:
+        changes["seed"] = seed
+    campaign: dict[str, object] = {}
+    if balls is not None:
+        campaign["balls"] = balls
+    if scheduler is not None:
+        campaign["parallel"] = ParallelConfig(backend="dask", address=scheduler)
+    if campaign:
+        changes["campaign"] = config.campaign.model_copy(update=campaign)
+    return config.model_copy(update=changes)
+
+
+def open_results(out: Path, fresh: bool) -> "ResultsFolder":
+    """Return the results folder, and say how many trials are in it already unless they are deleted for `fresh` ones.
+
+    Raises:
+        ResultsError: They cannot be deleted.
+    """
+    from imolo.campaigns.results import ResultsFolder
+
+    folder = ResultsFolder(out)
+    if fresh:
+        folder.discard_trials()
+    elif there := folder.trials():
+        say(f"{there} trials are in {out} already and will not be run again")
+    return folder
+
+
+def kept_in(out: Path) -> Callable[[], str]:
+    """Return what says how many logs an interrupted command leaves in its results folder, for `ProgressBars`."""
+    return lambda: f"the {len(list(out.rglob('*.lcmlog')))} logs recorded so far are kept in {out}"

@@ -1,0 +1,114 @@
+"""The commands that learn, hit and compare; each imports what it needs itself, so that `--help` stays quick."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from imolo.campaigns.command_options import (
+    Balls,
+    ConfigPaths,
+    Fresh,
+    Out,
+    Scheduler,
+    Seed,
+    kept_in,
+    load_configs,
+    open_results,
+    override,
+)
+from imolo.command_line.options import CORES, ConfigPath, Jobs, Method
+from imolo.command_line.terminal import ProgressBars, console, say
+from imolo.errors import ConfigError, did_you_mean
+from imolo.studies import commands as study_commands
+
+app = typer.Typer()
+app.add_typer(study_commands.app)
+
+
+@app.command()
+def compare(
+    configs: ConfigPaths = None,
+    out: Out = Path("results/compare"),
+    seed: Seed = None,
+    balls: Balls = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Learn the motions, throw balls and hit them on every backend, then compare.
+
+    Writes logs, tables, resolved configs, figures, summary.json and timing.json to the results folder.
+    """
+    from imolo.campaigns import comparison, figures, summary
+
+    chosen = [override(config, seed=seed, balls=balls, scheduler=scheduler) for config in load_configs(configs)]
+    folder = open_results(out, fresh)
+    with ProgressBars(kept_in(out)) as bars:
+        result, timings = comparison.compare(chosen, folder, jobs, bars.show)
+    console.print(summary.render_comparison(result, timings.timing))
+    figures.draw_all(result, chosen, folder)
+    say(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
+
+
+@app.command()
+def learn(
+    config: ConfigPath,
+    motions: Annotated[
+        int | None, typer.Option(min=1, help="Learn so many motions, spread evenly, in place of those of the config.")
+    ] = None,
+    out: Out = Path("results/learn"),
+    seed: Seed = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Learn balls and motions on one backend and build the table of each method."""
+    from imolo.campaigns import comparison
+    from imolo.config.experiment import load_config
+    from imolo.trials.learning import spread_motions
+
+    chosen = override(load_config(config), seed=seed, scheduler=scheduler)
+    if motions is not None:
+        training = chosen.training.model_copy(update={"motions": spread_motions(chosen, motions)})
+        chosen = chosen.model_copy(update={"training": training})
+    folder = open_results(out, fresh)
+    with ProgressBars(kept_in(out)) as bars:
+        comparison.learn([chosen], folder, jobs, bars.show)
+    for method in chosen.methods:
+        say(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
+
+
+@app.command()
+def hit(
+    config: ConfigPath,
+    table: Annotated[Path, typer.Argument(help="Table that `imolo learn` or `imolo compare` wrote, on any backend.")],
+    method: Method = "improved",
+    out: Out = Path("results/hit"),
+    seed: Seed = None,
+    balls: Balls = None,
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Throw balls on one backend and hit them with a table, perhaps learned on another backend."""
+    from imolo.campaigns import comparison, summary
+    from imolo.config.experiment import load_config
+    from imolo.method.table import LookupTable
+
+    chosen = override(load_config(config), seed=seed, balls=balls, scheduler=scheduler)
+    if method not in chosen.methods:
+        raise ConfigError(
+            f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
+        )
+    LookupTable.load(table, chosen.robot.name)
+    folder = open_results(out, fresh)
+    folder.prepare()
+    name = chosen.backend.name
+    with ProgressBars(kept_in(out)) as bars:
+        results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
+    folder.save_config(chosen)
+    folder.save_json("summary.json", results[name][method])
+    console.print(summary.render_results(results, timing))
+    console.print(summary.render_causes(results))
+    say(f"logs, config and summary.json are in {out}")

@@ -1,0 +1,66 @@
+"""The command line: the commands of every folder under one name, and `imolo backends`."""
+
+import logging
+import sys
+import warnings
+from importlib.metadata import entry_points
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from imolo.campaigns import commands as experiment_commands
+from imolo.command_line.terminal import complain, console
+from imolo.conformance import commands as conformance_commands
+from imolo.errors import ImoloError
+from imolo.inspect import commands as inspect_commands
+from imolo.live import commands as live_commands
+from imolo.report import commands as report_commands
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Jump-and-hit motions of a pneumatic humanoid from a lookup table of learned dynamics (IMoLo), "
+    "compared across physics engines over LCM.",
+)
+# In the order of `--help`, which must be quick: a command imports what it needs when it is called, since scikit-learn,
+# numba and matplotlib take seconds.
+for _commands in (conformance_commands, experiment_commands, report_commands, live_commands, inspect_commands):
+    app.add_typer(_commands.app)
+for _installed in entry_points(group="imolo.commands"):
+    app.add_typer(_installed.load())
+
+
+@app.command()
+def backends() -> None:
+    """List the backends that are installed, and what is missing for the others."""
+    from imolo.contracts.registry import backend_names, backend_status
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("backend", "state", "about"):
+        table.add_column(title)
+    for name in backend_names():
+        status = backend_status(name)
+        if status.plugin is None:
+            table.add_row(name, "[red]missing[/red]", escape(status.problem))
+        else:
+            table.add_row(name, "[green]ready[/green]", status.plugin.summary)
+    console.print(table)
+
+
+def main() -> None:
+    """Run the command line; every error of ours ends in one line."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    # joblib replaces a process that has grown; its tasks are run all the same.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+    try:
+        app()
+    except ImoloError as error:
+        complain(str(error))
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What plug-ins promise, and how they are found."""

@@ -1,1 +1,0 @@
-"""Running trials and judging them by their logs."""

@@ -1,0 +1,1 @@
+"""What the machine grants: packages and priority."""

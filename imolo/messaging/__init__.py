@@ -1,0 +1,1 @@
+"""The LCM bus: channels, recording and reading of logs."""

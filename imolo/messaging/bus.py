@@ -1,0 +1,120 @@
+"""The message bus: LCM with our channels, and errors that say what to do."""
+
+import select
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import lcm
+
+from imolo.errors import BusError, did_you_mean
+from imolo.messaging import udpm
+from imolo.messaging.channels import CHANNELS
+
+
+class Bus:
+    """Typed publish and subscribe over one LCM instance.
+
+    `memq://` stays inside this instance, in strict order: what a handler publishes is delivered after what was already
+    waiting. Every other LCM URL works as well. Queues are unbounded: LCM's own limit of 30 would keep the oldest
+    messages and lose the newest without a word.
+    """
+
+    def __init__(self, url: str = "memq://") -> None:
+        """Open the bus.
+
+        Raises:
+            BusError: LCM cannot open `url`, no route leads to it, or its port is occupied.
+        """
+        if url.startswith(udpm.SCHEME):
+            url = udpm.check_url(url)
+        try:
+            self._lcm = lcm.LCM(url)
+        except RuntimeError as error:
+            raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
+        self._subscriptions: list[Any] = []
+        self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
+
+    def publish(self, channel: str, message: Any) -> None:
+        """Encode and send a message.
+
+        Raises:
+            BusError: The channel is not in the table, or the message is not of its type or incomplete.
+        """
+        wanted = _message_type(channel)
+        if not isinstance(message, wanted):
+            raise BusError(f"{channel} carries {wanted.__name__}, not {type(message).__name__}")
+        try:
+            data = message.encode()
+        except (struct.error, TypeError, IndexError) as error:
+            raise BusError(f"a message for {channel} cannot be encoded: {error}") from error
+        self.publish_raw(channel, data)
+
+    def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
+        """Call `handler` with every decoded message of a channel, from within `drain`.
+
+        Raises:
+            BusError: The channel is not in the table.
+        """
+        decode = _message_type(channel).decode
+        self._subscribe(channel, lambda _, data: handler(decode(data)))
+
+    def publish_raw(self, channel: str, data: bytes) -> None:
+        """Send a message that is already encoded."""
+        self._lcm.publish(channel, data)
+
+    def subscribe_raw(self, handler: Callable[[str, bytes], None], channel: str = ".*") -> None:
+        """Call `handler` with channel and bytes of every message of the channel, or of all, from within `drain`."""
+        self._subscribe(channel, handler)
+
+    def subscribe_newest(
+        self, channel: str, handler: Callable[[str, bytes], None], skipped: Callable[[bytes], None] = lambda _: None
+    ) -> None:
+        """Call `handler` with the newest message alone, where several are waiting, and `skipped` with the others.
+
+        For control, where an answer to an old frame would only delay the one to the newest.
+        """
+
+        def keep(_: str, data: bytes) -> None:
+            if channel in self._newest:
+                skipped(self._newest[channel][1])
+            self._newest[channel] = (handler, data)
+
+        self._subscribe(channel, keep)
+
+    def drain(self) -> None:
+        """Handle every waiting message, those included that handlers publish meanwhile."""
+        handle = self._lcm.handle_timeout
+        while True:
+            while handle(0) > 0:
+                pass
+            if not self._newest:
+                return
+            newest, self._newest = self._newest, {}
+            for channel, (handler, data) in newest.items():
+                handler(channel, data)
+
+    def wait(self, timeout: float) -> None:
+        """Wait for a message for `timeout` [s] at most, and handle all that is there."""
+        if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
+            self.drain()
+
+    def close(self) -> None:
+        """Let go of all handlers.
+
+        They refer to what refers to this bus, and LCM takes no part in Python's collection of such circles: its two
+        file descriptors would stay open, and from 1024 on its `select` crashes.
+        """
+        while self._subscriptions:
+            self._lcm.unsubscribe(self._subscriptions.pop())
+
+    def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
+        subscription = self._lcm.subscribe(channel, handler)
+        subscription.set_queue_capacity(0)
+        self._subscriptions.append(subscription)
+
+
+def _message_type(channel: str) -> type[Any]:
+    if channel not in CHANNELS:
+        raise BusError(f"unknown channel {channel!r}{did_you_mean(channel, CHANNELS)}")
+    return CHANNELS[channel].message_type

@@ -1,0 +1,121 @@
+"""Logs: every message of a trial in an LCM event log that lcm-logplayer can play, and the way back."""
+
+import logging
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import lcm
+
+from imolo.errors import BusError
+from imolo.messaging.bus import Bus
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log_file import HEADER, Damage, LogEvent, read_events
+
+logger = logging.getLogger(__name__)
+
+LOG_SUFFIX = ".lcmlog"
+
+
+class Recorder:
+    """Write every message on a bus to a log, stamped by the backend's clock.
+
+    Use as a context manager: the file is closed, and so complete up to the last message, whatever happens.
+    """
+
+    def __init__(self, bus: Bus, path: Path, clock: Callable[[], int]) -> None:
+        """Start to record.
+
+        Args:
+            bus: What to listen to.
+            path: File to write; replaced if it exists.
+            clock: Returns the time of the backend [µs].
+
+        Raises:
+            BusError: The file cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._log = lcm.EventLog(str(path), "w", overwrite=True)
+        except (OSError, ValueError) as error:
+            raise BusError(f"cannot write the log {path}: {error}; choose a folder you may write to") from error
+        self._clock = clock
+        bus.subscribe_raw(self._write)
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._log.close()
+
+    def _write(self, channel: str, data: bytes) -> None:
+        self._log.write_event(self._clock(), channel, data)
+
+
+@dataclass
+class Log:
+    """The decoded messages of a log, by channel, in the order in which they were sent.
+
+    Attributes:
+        path: Where it was read.
+        messages: For every channel of the channel table its messages; empty where it was silent.
+        received: Time at which each of them was recorded [µs].
+        damage: What could not be read; empty for a log in order.
+    """
+
+    path: Path
+    messages: dict[str, list[Any]] = field(default_factory=lambda: {name: [] for name in CHANNELS})
+    received: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in CHANNELS})
+    damage: list[Damage] = field(default_factory=list)
+
+
+def read_log(path: Path) -> Log:
+    """Read and decode a log; channels that are not ours are passed over, damage is skipped and told in a warning.
+
+    Raises:
+        BusError: The file is missing or no log, or a channel in it carries messages of another type.
+    """
+    events, damage = read_events(path)
+    log = Log(path, damage=damage)
+    broken: dict[str, LogEvent] = {}
+    for event in events:
+        if event.channel not in CHANNELS:
+            continue
+        message = decode(event.channel, event.data)
+        if message is None:
+            broken.setdefault(event.channel, event)
+            end = event.offset + HEADER.size + len(event.channel) + len(event.data)
+            damage.append(Damage(event.offset, end, event.utime, f"a damaged message on {event.channel}"))
+            continue
+        log.messages[event.channel].append(message)
+        log.received[event.channel].append(event.utime)
+    for name, event in broken.items():
+        if not log.messages[name]:
+            raise BusError(
+                f"{path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
+                "was it recorded with other message types?"
+            )
+    damage.sort(key=lambda part: part.start)
+    warn_of_damage(path, damage)
+    return log
+
+
+def decode(channel: str, data: bytes) -> Any | None:
+    """Return the message that these bytes of a channel of ours hold, or None if they hold none of its type."""
+    try:
+        return CHANNELS[channel].message_type.decode(data)
+    except (ValueError, struct.error, MemoryError, OverflowError):
+        return None
+
+
+def warn_of_damage(path: Path, damage: Sequence[Damage]) -> None:
+    """Say in one line what is wrong with a log."""
+    if damage:
+        others = f", and {len(damage) - 1} more" if len(damage) > 1 else ""
+        logger.warning("%s is damaged: %s%s; the rest was read", path, damage[0], others)

@@ -1,0 +1,1 @@
+"""One trial: how it is run, and what its log says."""

@@ -1,0 +1,107 @@
+"""Run one trial: a backend, a controller and a recorder on one bus, from start to end."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import EventName, Trial
+from imolo.contracts.registry import load_backend
+from imolo.errors import TrialVoidError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.log import Recorder
+from imolo_msgs import trial_event_t
+
+SLICE = 1000  # [µs] between two looks at the bus; commands take effect no later than this after their frame
+
+
+class Controller(Protocol):
+    """What commands the robot: listens to MOCAP and TRIAL, publishes VALVE_COMMAND."""
+
+    def attach(self, bus: Bus) -> None:
+        """Join the bus."""
+
+
+class Bystander:
+    """The controller of a trial in which the robot only watches."""
+
+    def attach(self, bus: Bus) -> None:
+        """Join the bus, to say nothing."""
+
+
+def run_trial(
+    config: ExperimentConfig,
+    trial: Trial,
+    controller: Controller,
+    log_path: Path,
+    duration: float,
+    after_slice: Callable[[int], None] = lambda _: None,
+) -> float:
+    """Run a trial in lock-step and record all of it.
+
+    The trial ends a while after the ball was hit or has landed, and at `duration` at the latest.
+
+    Args:
+        config: Names the backend and everything around it.
+        trial: Which one.
+        controller: What commands the robot.
+        log_path: Log to write; complete up to the last message even if the trial fails.
+        duration: Longest time [s].
+        after_slice: Told the time of the backend after each slice [µs]; may wait, publish, or break the trial off.
+
+    Returns:
+        Duration of the trial [s].
+
+    Raises:
+        BackendError: The backend refused the scene, or diverged.
+        BusError: The log cannot be written.
+        TrialVoidError: The trial was broken off; the log ends with the reason.
+    """
+    bus = Bus(config.bus)
+    plugin = load_backend(config.backend.name)
+    backend = plugin.create(config, config.backend_options())
+    end = round(duration * 1e6)
+
+    def shorten(event: trial_event_t) -> None:
+        nonlocal end
+        if event.event in (EventName.HIT, EventName.BALL_LANDED):
+            end = min(end, event.utime + round(config.campaign.tail * 1e6))
+
+    with Recorder(bus, log_path, lambda: backend.utime):
+        bus.subscribe(channels.TRIAL, shorten)
+        controller.attach(bus)
+        backend.start(bus, trial)
+        try:
+            bus.publish(channels.TRIAL, _event(config, trial, EventName.START, backend.utime))
+            bus.drain()
+            while backend.utime < end:
+                backend.advance(min(backend.utime + SLICE, end))
+                bus.drain()
+                after_slice(backend.utime)
+                bus.drain()
+            # A clock on the wall may have passed the end while the controller computed: what happened must be heard.
+            backend.advance(end)
+            bus.publish(channels.TRIAL, _event(config, trial, EventName.END, backend.utime))
+            bus.drain()
+        except TrialVoidError as void:
+            event = _event(config, trial, EventName.END, backend.utime)
+            event.detail += f"; void: {void}"
+            bus.publish(channels.TRIAL, event)
+            bus.drain()
+            raise
+        finally:
+            backend.close()
+            bus.close()
+    return backend.utime * 1e-6
+
+
+def _event(config: ExperimentConfig, trial: Trial, name: EventName, utime: int) -> trial_event_t:
+    event = trial_event_t()
+    event.utime = utime
+    event.trial = trial.index
+    event.event = name.value
+    event.robot = config.robot.name
+    event.backend = config.backend.name
+    event.detail = f"{trial.kind.value}, seed {trial.seed}"
+    return event

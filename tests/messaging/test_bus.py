@@ -1,0 +1,121 @@
+"""The bus: strict order, isolation, and errors that say what to do."""
+
+import gc
+from functools import partial
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imolo.errors import BusError
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo_msgs import mocap_frame_t, plan_t, valve_pressure_t
+
+
+def pressure(utime: int) -> valve_pressure_t:
+    message = valve_pressure_t()
+    message.utime = utime
+    return message
+
+
+def frame(utime: int) -> mocap_frame_t:
+    message = mocap_frame_t()
+    message.utime = utime
+    return message
+
+
+def test_unknown_channel_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(BusError, match=r"unknown channel 'VALVE_PRESURE'; did you mean 'VALVE_PRESSURE'\?"):
+        Bus().publish("VALVE_PRESURE", pressure(0))
+
+
+def test_message_of_another_type_is_refused() -> None:
+    with pytest.raises(BusError, match="MOCAP carries mocap_frame_t, not valve_pressure_t"):
+        Bus().publish(channels.MOCAP, pressure(0))
+
+
+@pytest.mark.parametrize("url", ["nonsense://", "memq", "file:///no/such/folder/log?mode=r"])
+def test_url_that_lcm_cannot_open_is_a_bus_error_with_the_recipe(url: str) -> None:
+    with pytest.raises(BusError, match=r"ip route add 224\.0\.0\.0/4 dev lo") as caught:
+        Bus(url)
+    assert repr(url) in str(caught.value)
+
+
+@given(st.lists(st.integers(0, 2**62), max_size=50))
+def test_messages_arrive_in_the_order_they_were_sent(utimes: list[int]) -> None:
+    bus, seen = Bus(), []
+    bus.subscribe(channels.MOCAP, lambda message: seen.append(message.utime))
+    bus.subscribe(channels.VALVE_PRESSURE, lambda message: seen.append(message.utime))
+    for number, utime in enumerate(utimes):
+        if number % 2:
+            bus.publish(channels.MOCAP, frame(utime))
+        else:
+            bus.publish(channels.VALVE_PRESSURE, pressure(utime))
+    bus.drain()
+    assert seen == utimes
+
+
+def test_what_a_handler_publishes_comes_after_what_was_waiting() -> None:
+    bus, seen = Bus(), []
+
+    def answer(message: mocap_frame_t) -> None:
+        seen.append(("frame", message.utime))
+        plan = plan_t()
+        plan.utime = message.utime
+        bus.publish(channels.PLAN, plan)
+
+    bus.subscribe(channels.MOCAP, answer)
+    bus.subscribe(channels.PLAN, lambda plan: seen.append(("plan", plan.utime)))
+    for utime in (1, 2):
+        bus.publish(channels.MOCAP, frame(utime))
+    bus.drain()
+    assert seen == [("frame", 1), ("frame", 2), ("plan", 1), ("plan", 2)]
+
+
+def test_two_buses_do_not_hear_each_other() -> None:
+    talking, listening = Bus(), Bus()
+    seen: list[int] = []
+    listening.subscribe(channels.MOCAP, lambda message: seen.append(message.utime))
+    talking.publish(channels.MOCAP, frame(1))
+    talking.drain()
+    listening.drain()
+    assert seen == []
+
+
+def test_error_of_a_handler_reaches_the_one_who_drains() -> None:
+    bus = Bus()
+
+    def refuse(_: mocap_frame_t) -> None:
+        raise BusError("refused")
+
+    bus.subscribe(channels.MOCAP, refuse)
+    bus.publish(channels.MOCAP, frame(1))
+    with pytest.raises(BusError, match="refused"):
+        bus.drain()
+
+
+def test_drain_of_a_silent_bus_returns() -> None:
+    bus, seen = Bus(), []
+    bus.subscribe_raw(lambda channel, data: seen.append(channel))
+    bus.drain()
+    assert seen == []
+
+
+def test_subscription_to_an_unknown_channel_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(BusError, match="did you mean 'MOCAP'"):
+        Bus().subscribe("MOCPA", lambda _: None)
+
+
+def test_closed_bus_gives_back_its_file_descriptors() -> None:
+    def used_up() -> int:
+        bus = Bus()
+        bus.subscribe(channels.MOCAP, partial(bus.publish, channels.PLAN))  # refers to the bus, as handlers do
+        bus.close()
+        del bus
+        gc.collect()
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    first = used_up()
+    assert [used_up() for _ in range(5)] == [first] * 5

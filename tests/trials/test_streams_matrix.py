@@ -1,0 +1,64 @@
+"""Any valid U is executed on every backend with the same switch times, and one planner with one table plays on each."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from played_trials import COARSE, Commander, events, play, quiet
+from requirements import AVAILABLE
+
+from imolo.config.simulation import PneumaticsConfig
+from imolo.contracts.backend import EventName
+from imolo.messaging.log import Log
+from imolo.method.motion import NUM_VALVES, SUPPLY_PRESSURE, Commands
+from imolo_backends.actuators.plant import Plant
+
+STEP = round(COARSE * 1e6)  # [µs]
+DURATION = 0.06  # [s]
+REST = np.array(PneumaticsConfig().rest_pressure)
+# A command that answers the first frame, which is exposed after 8.3 ms, is received 5 ms of latency and a slice later.
+EARLIEST = 15_000  # [µs]
+
+pressures = st.lists(st.floats(0.0, SUPPLY_PRESSURE), min_size=NUM_VALVES, max_size=NUM_VALVES)
+
+
+@st.composite
+def valid_commands(draw: st.DrawFn) -> Commands:
+    """Draw a U of one to four phases, the shortest of a microsecond, that begins within the trial."""
+    onset = draw(st.integers(EARLIEST, 30_000))
+    lengths = draw(st.lists(st.integers(1, 15_000), min_size=1, max_size=4))
+    switches = np.cumsum([onset, *lengths])[1:]
+    return Commands(onset, tuple(switches.tolist()), np.array([draw(pressures) for _ in lengths]))
+
+
+def executed(backend: str, commands: Commands) -> tuple[np.ndarray, Log]:
+    """Run a trial under commands; return the valves' targets in each step [Pa], shape (N, 8), and the log."""
+    targets: list[np.ndarray] = []
+
+    class Watched(Plant):
+        def step(self, *motion: Any) -> None:
+            targets.append(self.target.copy())
+            super().step(*motion)
+
+    message = commands.to_message(0, 1)
+    with TemporaryDirectory() as folder, mock.patch("imolo_backends.simulation.simulated.Plant", Watched):
+        log = play(quiet(backend), Path(folder) / "log", Commander(lambda _: message), DURATION)
+    return np.array(targets), log
+
+
+@settings(max_examples=12, deadline=None)
+@given(valid_commands())
+def test_any_valid_commands_switch_at_the_same_times_on_every_backend(commands: Commands) -> None:
+    """In the step from t on, every backend has the target of U at t, and it tells the onset on the first such step."""
+    times = STEP * np.arange(round(DURATION / COARSE))
+    at_times = [commands.target(int(time)) for time in times]
+    expected = [REST if target is None else target for target in at_times]
+    for backend in AVAILABLE:
+        targets, log = executed(backend, commands)
+        assert np.array_equal(targets, expected), backend
+        (onset,) = events(log, EventName.ONSET)
+        assert onset.utime == times[times >= commands.onset_utime][0], backend
