@@ -15,7 +15,7 @@ from benchmarks import campaign, hardware, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.campaigns.results import installed_versions
-from imolo.contracts.registry import backend_status
+from imolo.contracts.registry import BACKENDS
 
 VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
 
@@ -23,7 +23,7 @@ VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
 def measure(console: Console) -> Iterator[Measurement]:
     """Run all benchmarks, one after the other."""
     for engine in loop.TARGETS:
-        if problem := backend_status(engine).problem:
+        if problem := BACKENDS.status(engine).problem:
             console.print(f"no loop of {engine}: {problem}")
             continue
         with console.status(f"loop, {engine}"):

@@ -11,14 +11,14 @@ import numpy as np
 
 from imolo.config.model import Model
 from imolo.contracts.engine import Array, Engine, Scene
-from imolo.contracts.registry import backend_status
+from imolo.contracts.registry import BACKENDS
 from imolo_backends.engines.dart_engine import DartEngine
 from imolo_backends.engines.mujoco_engine import MujocoEngine
 from imolo_backends.engines.pybullet_engine import PybulletEngine, pybullet
 
 ENGINES: dict[str, type[Any]] = {"mujoco": MujocoEngine, "pybullet": PybulletEngine, "dart": DartEngine}
 
-if not backend_status("ode").problem:
+if not BACKENDS.status("ode").problem:
     from imolo_backends.engines.ode_engine import OdeEngine, ode
 
     ENGINES["ode"] = OdeEngine

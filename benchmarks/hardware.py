@@ -20,12 +20,12 @@ import numpy as np
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import TrialTask, hit_tasks, run_task
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import TrialVoidError
 from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
 from imolo.messaging import channels
 from imolo.messaging.log import Log, read_log
-from imolo.method.motion import NUM_VALVES, Commands
+from imolo.method.commands import Commands
 from imolo.trials.trial import Bystander, run_trial
 from imolo_drivers import hardware_backend
 from imolo_drivers.board import BoardConfig, BoardState

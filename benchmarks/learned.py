@@ -6,7 +6,7 @@ from pathlib import Path
 from imolo.ball.model import BallModel
 from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.contracts.backend import TrialKind
+from imolo.contracts.trial import TrialKind
 from imolo.method.forward_model import TrainingData
 from imolo.trials.learning import learn_ball, learn_motions
 

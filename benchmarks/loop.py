@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.bare import recording
 from benchmarks.measurement import Measurement
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.motion import MotionTemplate, Theta

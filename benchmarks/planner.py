@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.learned import Learned
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import hit_tasks, run_tasks
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log

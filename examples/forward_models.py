@@ -14,7 +14,7 @@ from rich.table import Table
 
 from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import METHODS, ExperimentConfig
-from imolo.contracts.backend import TrialKind
+from imolo.contracts.trial import TrialKind
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, TrainingData
 from imolo.trials.learning import learn_motions
 

@@ -8,7 +8,7 @@ import numpy as np
 from requirements import BACKENDS as BACKENDS
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log

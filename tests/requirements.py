@@ -10,7 +10,7 @@ from ctypes.util import find_library
 
 import pytest
 
-from imolo.contracts.registry import backend_status
+from imolo.contracts.registry import BACKENDS
 
 
 def _programs(package: str, *names: str) -> str:
@@ -26,7 +26,7 @@ def _libiio() -> str:
 
 OPTIONAL = {
     "chromium": lambda: _programs("chromium", "chromium"),
-    "ode": lambda: backend_status("ode").problem,
+    "ode": lambda: BACKENDS.status("ode").problem,
     "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
     "iio": _libiio,

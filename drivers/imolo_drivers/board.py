@@ -15,8 +15,8 @@ from pydantic import Field
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import EightPressures, PneumaticsConfig
 from imolo.errors import BackendError, ImoloError, MessageError
-from imolo.method.motion import NUM_VALVES, SUPPLY_PRESSURE, Commands, to_microseconds
-from imolo_drivers.valve_io import IioConfig, ValveIO
+from imolo.method.commands import Commands, to_microseconds
+from imolo_drivers.valve_io import NUM_VALVES, SUPPLY_PRESSURE, IioConfig, ValveIO
 from imolo_msgs import board_state_t, valve_command_t
 
 VENTED_PRESSURE = (0.0,) * NUM_VALVES

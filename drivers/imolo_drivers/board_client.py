@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from imolo.errors import BackendError
-from imolo.method.motion import NUM_VALVES
 from imolo_drivers.board_server import RECEIVE, monotonic_utime
 from imolo_drivers.framing import VERSION, Frame, FrameDecoder, FrameError, FrameType, encode_frame
 from imolo_drivers.handshake import ClientRole, make_hello
+from imolo_drivers.valve_io import NUM_VALVES
 from imolo_msgs import (
     board_arm_t,
     board_clock_t,

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Any
 
 from imolo.errors import BackendError
-from imolo.method.motion import NUM_VALVES, to_microseconds
+from imolo.method.commands import to_microseconds
 from imolo_drivers.board import Board, BoardConfig, RefusalCode, RefusedError
 from imolo_drivers.framing import VERSION, Frame, FrameDecoder, FrameError, FrameType, encode_frame
 from imolo_drivers.handshake import ClientRole, type_mismatch
-from imolo_drivers.valve_io import ValveIO
+from imolo_drivers.valve_io import NUM_VALVES, ValveIO
 from imolo_msgs import board_refusal_t, board_trial_t, board_welcome_t
 
 PORT = 7705

@@ -3,22 +3,25 @@
 import select
 import time
 
+from imolo.contracts.robot import Body
 from imolo.errors import CalibrationError
 from imolo_drivers.natnet.calibration import Calibration, CalibrationLimits, fit
 from imolo_drivers.natnet.client import NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.markers import find_labels, rest_positions
 from imolo_drivers.natnet.messages import Frame, ModelDefinitions
-from imolo_robots.liberobot.body import ready_markers
 
 POLL = 0.05  # [s] between two looks whether to go on waiting
 
 
-def calibrate(cameras: NatNetConfig, seconds: float, patience: float) -> tuple[Calibration, dict[str, float]]:
+def calibrate(
+    cameras: NatNetConfig, body: Body, seconds: float, patience: float
+) -> tuple[Calibration, dict[str, float]]:
     """Watch the robot at rest in its ready pose, and fit where the cameras' frame lies.
 
     Args:
         cameras: How they are reached, and what their markers are called.
+        body: Of the robot, which tells where its markers are in the ready pose.
         seconds: How long to watch [s].
         patience: How long to wait for the first frame [s].
 
@@ -31,9 +34,12 @@ def calibrate(cameras: NatNetConfig, seconds: float, patience: float) -> tuple[C
     """
     with NatNetClient(cameras) as client:
         definitions, frames = _watch(client, cameras, seconds, patience)
-    known, limits = ready_markers(), CalibrationLimits()
-    names = {label: name for name, label in cameras.labels.markers.items() if name in known}
-    measured = rest_positions(frames, find_labels(cameras.labels, definitions), names, limits)
+    limits, labels = CalibrationLimits(), cameras.labels.of(body)
+    # An effector may hang freely while the actuators are off, as arms without air do.
+    loose = {effector.name for effector in body.effectors}
+    known = {name: place for name, place in body.ready_markers().items() if name not in loose}
+    names = {label: name for name, label in labels.markers.items() if name in known}
+    measured = rest_positions(frames, find_labels(labels, definitions), names, limits)
     calibration = fit(measured, known, limits)
     return calibration, calibration.errors(measured, known)
 

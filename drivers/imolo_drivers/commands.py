@@ -127,19 +127,16 @@ def calibrate(
 
     Prints how far each marker is from where it should be, and what to put into the config.
     """
-    from imolo.config.experiment import load_config
+    from imolo.config.loading import backend_options, body_of, load_config
     from imolo.errors import ConfigError
     from imolo_drivers.calibrate import calibrate as watch_and_fit
     from imolo_drivers.hardware_backend import HardwareOptions
-    from imolo_robots.liberobot.body import ROBOT_NAME
 
     chosen = load_config(config)
-    options = chosen.backend_options()
+    options = backend_options(chosen)
     if not isinstance(options, HardwareOptions):
         raise ConfigError(f"{config} is for {chosen.backend.name!r}, which has no cameras; name the backend hardware")
-    if chosen.robot.name != ROBOT_NAME:
-        raise ConfigError(f"where the markers of {chosen.robot.name!r} are is not known, only those of {ROBOT_NAME!r}")
-    calibration, errors = watch_and_fit(options.cameras, seconds, options.patience)
+    calibration, errors = watch_and_fit(options.cameras, body_of(chosen.robot), seconds, options.patience)
     for name, error in sorted(errors.items(), key=lambda item: -item[1]):
         typer.echo(f"{name:15s} {1e3 * error:5.1f} mm off")
     typer.echo(f"{'all':15s} {1e3 * calibration.residual:5.1f} mm, root mean square")
@@ -164,8 +161,7 @@ def emulate(
 
     For `backend: hardware` where no robot is at hand; see configs/hardware.yaml.
     """
-    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
-    from imolo.config.simulation import SimulationConfig
+    from imolo.config.loading import config_for, load_config
     from imolo.live.program import Console, in_background, until_stopped
     from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
@@ -177,9 +173,7 @@ def emulate(
     if engine.endswith((".yaml", ".yml")):
         config = load_config(Path(engine))
     else:
-        simulation = SimulationConfig(timestep=EMULATED_TIMESTEP)
-        config = ExperimentConfig(backend=BackendConfig(name=engine), simulation=simulation)
-        config.backend_options()
+        config = config_for(engine, simulation={"timestep": EMULATED_TIMESTEP})
     host, port = parse_address(motive, MOTIVE_PORT)
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
     with until_stopped() as stop, in_background(Console("emulate").say) as say:

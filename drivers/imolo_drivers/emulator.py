@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Backend, EventName, Trial, TrialKind
-from imolo.contracts.registry import load_backend
+from imolo.config.loading import backend_options, backend_plugin, body_of
+from imolo.contracts.backend import Backend
+from imolo.contracts.robot import Body
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError, DivergenceError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import NUM_VALVES, Commands
+from imolo.method.commands import Commands
 from imolo_drivers.board import BoardConfig, BoardState
 from imolo_drivers.board_server import BoardServer, monotonic_utime
 from imolo_drivers.natnet.calibration import Calibration
@@ -30,19 +32,23 @@ from imolo_drivers.natnet.messages import (
     ModelDefinitions,
 )
 from imolo_drivers.natnet.server import NatNetServer
+from imolo_drivers.valve_io import NUM_VALVES
 from imolo_msgs import board_trial_t, marker_t, mocap_frame_t, trial_event_t, valve_pressure_t
-from imolo_robots.liberobot.body import MARKERS, ROBOT_NAME
 
 logger = logging.getLogger(__name__)
 
 MODEL_ID = 1  # of the robot in Motive
-_MARKERS = tuple(AssetMarkerDefinition(marker.name, 1 + marker.marker_id, (0.0, 0.0, 0.0)) for marker in MARKERS)
-DEFINITIONS = ModelDefinitions((AssetDefinition(ROBOT_NAME, 0, MODEL_ID, (), _MARKERS),))
 LONGEST_TURN = 0.001  # [s] of the simulation between two looks at the network
 GIVE_UP = 0.1  # [s] behind the clock on the wall from which lost time is not made up for
 FOREVER = 1_000_000_000  # [µs] for which the valves hold what they were given last
 ARM_AFTER = 200_000  # [µs] a person takes longer
 IDLE = Trial(TrialKind.TRAINING, 0, 0)  # the robot rests in its ready pose, and nobody throws
+
+
+def definitions_of(body: Body) -> ModelDefinitions:
+    """Return a robot as Motive describes it."""
+    markers = tuple(AssetMarkerDefinition(one.name, 1 + one.marker_id, (0.0, 0.0, 0.0)) for one in body.markers)
+    return ModelDefinitions((AssetDefinition(body.name, 0, MODEL_ID, (), markers),))
 
 
 class EmulatedValves:
@@ -136,7 +142,7 @@ class EmulatedRobot:
             BackendError: The engine refuses the scene, or an address is taken.
             NatNetError: The address of the motion capture is taken.
         """
-        plugin = load_backend(config.backend.name)
+        plugin = backend_plugin(config)
         if not plugin.simulated:
             raise BackendError(f"{config.backend.name!r} is no engine; emulate a simulated backend, such as mujoco")
         self.lost = 0.0
@@ -145,7 +151,7 @@ class EmulatedRobot:
         self._frames = self._first_frame = self._announced = 0
         self._waiting: _Scene | None = None
         self._valves = EmulatedValves()
-        self.motive = NatNetServer(motive, definitions=DEFINITIONS)
+        self.motive = NatNetServer(motive, definitions=definitions_of(body_of(config.robot)))
         try:
             self._scene = self._prepare(IDLE)
             self._begin = monotonic_utime()
@@ -199,7 +205,7 @@ class EmulatedRobot:
         self._announced = monotonic_utime()
 
     def _prepare(self, trial: Trial) -> _Scene:
-        backend = self._plugin.create(self._config, self._config.backend_options())
+        backend = self._plugin.create(self._config, backend_options(self._config))
         bus = Bus("memq://")
         backend.start(bus, trial)
         return _Scene(trial, backend, bus)

@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import body_of
 from imolo.config.model import Model, NonNegative, Positive
-from imolo.contracts.backend import Backend, BackendPlugin, EventName, Trial, TrialKind
+from imolo.contracts.backend import Backend, BackendPlugin
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError, MessageError, NatNetError, TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import Commands, to_microseconds
+from imolo.method.commands import Commands, to_microseconds
 from imolo_drivers.address import parse_address
 from imolo_drivers.board import BoardState
 from imolo_drivers.board_client import BoardClient, LinkLostError
@@ -72,8 +74,7 @@ class HardwareOptions(Model):
         0.25, description="without frames for longer a trial is void [s], assumed: the tracker's patience"
     )
     markers: MarkerGuardConfig = MarkerGuardConfig()
-    feet: tuple[int, ...] = Field((2, 5), description="labels of the ankles")
-    landed_height: Positive = Field(0.052, description="of an ankle over the floor when its foot stands [m], Sec. V-A")
+    landed_margin: NonNegative = Field(0.004, description="above its height when it stands, of a foot that lands [m]")
     hits: HitDetectorConfig = HitDetectorConfig()
 
 
@@ -88,6 +89,8 @@ class HardwareBackend:
             CalibrationError: The calibration cannot be read.
         """
         self._config, self._options = config, options
+        self._body = body_of(config.robot)
+        self._channels = config.simulation.actuators.channels
         self._address = parse_address(options.board)
         self._calibration = Calibration.load(options.calibration) if options.calibration else Calibration()
         self._begin: int | None = None
@@ -97,7 +100,7 @@ class HardwareBackend:
         self._happened: set[EventName] = set()
         self._guard = MarkerGuard(options.markers)
         self._wrong_labels = False
-        self._detector = HitDetector(options.hits, config.tracker)
+        self._detector = HitDetector(options.hits, config.tracker, self._body)
         self._pressure = valve_pressure_t()
         self._asked = self._heard_board = 0
         self._newest_frame = self._newest_state = 0
@@ -203,7 +206,7 @@ class HardwareBackend:
                 "cameras.local_address the network card towards it?"
             )
         if cameras.definitions is not None:
-            self._labels = find_labels(options.cameras.labels, cameras.definitions)
+            self._labels = find_labels(options.cameras.labels.of(self._body), cameras.definitions)
 
     def _wait_for_the_person(self) -> None:
         board, cameras = self._links()
@@ -320,8 +323,9 @@ class HardwareBackend:
         """Tell what the cameras show to have happened."""
         for event in self._detector.update(frame):
             self._announce_once(event.name, event.utime, event.position, event.detail)
+        standing, margin = self._body.standing_markers, self._options.landed_margin
         for marker in frame.markers:
-            if marker.marker_id in self._options.feet and marker.marker_position[2] < self._options.landed_height:
+            if marker.marker_position[2] < standing.get(marker.marker_id, -np.inf) + margin:
                 place = np.array(marker.marker_position)
                 self._announce_once(EventName.ROBOT_LANDED, frame.utime, place, f"marker {marker.marker_id}")
 
@@ -330,9 +334,9 @@ class HardwareBackend:
         board, _ = self._links()
         shift = self._shift(board)
         try:
-            commands = Commands.from_message(message)
+            commands = Commands.from_message(message, self._channels)
             onset, switches = commands.onset_utime + shift, tuple(time + shift for time in commands.switch_utime)
-            shifted = Commands(onset, switches, commands.target_pressure)
+            shifted = Commands(onset, switches, commands.targets)
             board.command(shifted.to_message(message.utime + shift, message.command_sequence))
         except (MessageError, struct.error) as error:
             logger.warning("refused a valve command at %d us: %s", message.utime, error)

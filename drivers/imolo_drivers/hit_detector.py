@@ -18,9 +18,10 @@ from scipy.stats import chi2
 
 from imolo.ball.aerodynamic import AerodynamicBallModel
 from imolo.ball.tracker import BallTracker, BallTrackerConfig, made_up_flight
-from imolo.config.model import Model, NonNegative, Positive, Vector
+from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import BallConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.robot import Body
+from imolo.contracts.trial import EventName
 from imolo_msgs import marker_t, mocap_frame_t
 
 Array = NDArray[np.float64]
@@ -34,10 +35,6 @@ class HitDetectorConfig(Model):
 
     ball: BallConfig = BallConfig()
     ball_noise: Positive = Field(0.002, description="sd of the ball in the cameras, each axis [m], assumed")
-    arms: tuple[Arm, ...] = Field(
-        ((8, 6), (9, 7)), description="labels of shoulder and hand of each arm; the hand is the middle of the plate"
-    )
-    arm_length: Positive = Field(0.50, description="shoulder to the end of the plate [m], Sec. V-A")
     reach: Positive = Field(
         0.15,
         description="from the middle line of an arm to the centre of a ball it touches [m]: 40 mm of plate, 45 mm of "
@@ -55,10 +52,6 @@ class HitDetectorConfig(Model):
     )
     ground_margin: NonNegative = Field(
         0.06, description="between ball and floor or box at a touch of these [m], assumed: half a frame of a fall"
-    )
-    box: tuple[Vector, Vector] = Field(
-        ((-0.8, -0.4, 0.0), (0.0, 0.4, 0.4)),
-        description="corners of the robot's box [m]; height and front edge Sec. VII-A, depth and width assumed",
     )
     lost_time: Positive = Field(0.1, description="a ball that is not seen for longer is searched anew [s], assumed")
 
@@ -83,12 +76,13 @@ class BallEvent:
 class HitDetector:
     """Follows the ball of one trial from frame to frame."""
 
-    def __init__(self, config: HitDetectorConfig, tracker: BallTrackerConfig) -> None:
+    def __init__(self, config: HitDetectorConfig, tracker: BallTrackerConfig, body: Body) -> None:
         """Prepare for a trial.
 
         Args:
             config: What counts as a hit.
             tracker: How the ball is found, as the planner finds it.
+            body: Of the robot, whose limbs may touch the ball, and the boxes around it.
         """
         self._config = config
         self._model = _drag_model(config)
@@ -99,12 +93,14 @@ class HitDetector:
         self._covariance = np.empty((0, 0))
         self._utime = 0
         self._suspects: list[tuple[int, Array]] = []
-        self._arms: dict[Arm, list[tuple[int, Array]]] = {arm: [] for arm in config.arms}
+        self._body = body
+        self._arms: dict[Arm, list[tuple[int, Array]]] = {arm: [] for arm in _arms(body)}
+        self._lengths = dict(zip(self._arms, (one.limb_length for one in body.effectors if one.limb), strict=True))
         self._told: set[EventName] = set()
 
     def warm_up(self) -> None:
         """Load and compile what takes a second at first."""
-        twin = HitDetector(self._config, self._tracker.config)
+        twin = HitDetector(self._config, self._tracker.config, self._body)
         for frame in made_up_flight():
             twin.update(frame)
 
@@ -188,7 +184,7 @@ class HitDetector:
         times = np.linspace(0.0, 2.0 * self._config.lost_time, 41)
         for time in times:
             place = self._model.propagate(state, self._covariance, float(time))[0][:3]
-            if min(self._clearances(place)) <= 0.0:
+            if min(self._clearances(place).values()) <= 0.0:
                 return float(time)
         return float(times[-1])
 
@@ -201,9 +197,9 @@ class HitDetector:
             before = self._model.propagate(state, self._covariance, contact)[0][3:6]
             change = f"its velocity changed by {np.linalg.norm(after[0][3:6] - before):.1f} m/s"
         distance, arm = self._nearest_arm(utime, place)
-        floor, box = self._clearances(place)
-        if min(floor, box) <= config.ground_margin:
-            surface = "floor" if floor <= box else "box"
+        clearances = self._clearances(place)
+        surface = min(clearances, key=lambda name: clearances[name])
+        if clearances[surface] <= config.ground_margin:
             return BallEvent(EventName.BALL_LANDED, utime, place, f"on {surface}, {change}")
         if after is not None and distance <= config.reach:
             detail = f"marker {arm}, {1e3 * distance:.0f} mm from the middle of the arm, {change}"
@@ -211,24 +207,26 @@ class HitDetector:
         logger.info("the ball left its flight at %d us, %.2f m from the nearest arm: %s", utime, distance, change)
         return None
 
-    def _clearances(self, place: Array) -> tuple[float, float]:
-        """Return the gaps between a ball at a place and the floor, and the box [m]."""
-        low, high = np.array(self._config.box)
+    def _clearances(self, place: Array) -> dict[str, float]:
+        """Return the gaps between a ball at a place and the floor, and each box, by name [m]."""
         radius = self._config.ball.radius
-        to_box = float(np.linalg.norm(place - np.clip(place, low, high)))
-        return float(place[2]) - radius, to_box - radius
+        gaps = {"floor": float(place[2]) - radius}
+        for box in self._body.boxes:
+            center, half = np.array(box.center), np.array(box.half_extents)
+            gaps[box.name] = float(np.linalg.norm(place - np.clip(place, center - half, center + half))) - radius
+        return gaps
 
     def _nearest_arm(self, utime: int, place: Array) -> tuple[float, int]:
         """Return the distance of a place to the nearest arm at a time [m], and the label of its hand."""
         nearest = math.inf, marker_t.UNLABELLED
-        for (_, hand), seen in self._arms.items():
+        for arm, seen in self._arms.items():
             line = _between(utime, seen)
             if line is None:
                 continue
             shoulder, along = line[:3], line[3:] - line[:3]
-            along *= self._config.arm_length / max(float(np.linalg.norm(along)), 1e-6)
+            along *= self._lengths[arm] / max(float(np.linalg.norm(along)), 1e-6)
             part = np.clip((place - shoulder) @ along / (along @ along), 0.0, 1.0)
-            nearest = min(nearest, (float(np.linalg.norm(place - shoulder - part * along)), hand))
+            nearest = min(nearest, (float(np.linalg.norm(place - shoulder - part * along)), arm[1]))
         return nearest
 
     def _note_arms(self, frame: mocap_frame_t) -> None:
@@ -258,6 +256,11 @@ def _drag_model(config: HitDetectorConfig) -> AerodynamicBallModel:
         prior_mean=np.array([0.0, 0.0, 0.0, drag]),
         prior_std=np.array([30.0, 30.0, 30.0, 0.3 * drag]),
     )
+
+
+def _arms(body: Body) -> list[Arm]:
+    """Return the labels of the markers at both ends of each limb that may touch the ball."""
+    return [(body.marker_id(one.limb), body.marker_id(one.name)) for one in body.effectors if one.limb]
 
 
 def _between(utime: int, seen: list[tuple[int, Array]]) -> Array | None:

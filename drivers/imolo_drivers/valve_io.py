@@ -9,7 +9,9 @@ from pydantic import Field, model_validator
 from imolo.config.model import Model, Positive
 from imolo.errors import BackendError, MissingToolError, did_you_mean
 from imolo.machine.extras import import_extra
-from imolo.method.motion import NUM_VALVES
+
+NUM_VALVES = 8
+SUPPLY_PRESSURE = 0.9e6  # [Pa]
 
 _Channels = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=NUM_VALVES, max_length=NUM_VALVES)]
 

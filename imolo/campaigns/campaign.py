@@ -9,13 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from imolo.ball.fit import restore_ball_model
-from imolo.ball.model import BallModel
 from imolo.campaigns.kept_trials import (
     TrialTiming,
     discard_partial,
@@ -29,15 +26,15 @@ from imolo.campaigns.kept_trials import (
 )
 from imolo.campaigns.workers import run_on_cores, run_on_dask
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
-from imolo.contracts.registry import load_backend
+from imolo.config.loading import backend_plugin
+from imolo.contracts.planner import Controller
+from imolo.contracts.registry import BACKENDS, PLANNERS
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import BusError, ConfigError, TrialVoidError, WorkerError
 from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
 from imolo.messaging.log import LOG_SUFFIX
-from imolo.method.planner import Planner
-from imolo.method.table import LookupTable
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
-from imolo.trials.trial import Bystander, Controller, run_trial
+from imolo.trials.trial import Bystander, run_trial
 
 logger = logging.getLogger(__name__)
 
@@ -114,7 +111,7 @@ def run_tasks(
         raise ConfigError(
             f"trials run at once would mix their messages on the bus {shared!r}; give --jobs 1 or memq://"
         )
-    if not all(load_backend(name).simulated for name in {task.config.backend.name for task in tasks}):
+    if not all(BACKENDS.load(name).simulated for name in {task.config.backend.name for task in tasks}):
         if parallel.backend != "loky":
             raise ConfigError("a robot can do one trial at a time, on this machine; leave --scheduler out")
         jobs = 1
@@ -249,16 +246,17 @@ def run_task(task: TrialTask) -> TrialTiming:
     controller: Controller = Bystander()
     duration = config.campaign.duration
     decisions: list[float] = []
-    on_robot = not load_backend(config.backend.name).simulated
+    on_robot = not backend_plugin(config).simulated
     if trial.kind is TrialKind.TRAINING:
         theta = config.training.motions[trial.index]
         controller = MotionPlayer(config.motion, theta)
-        duration = task.duration or START_MARGIN + theta.t_w + config.training.sampled_to
+        duration = task.duration or START_MARGIN + config.motion.swing_of(theta) + config.training.sampled_to
     elif task.table_path is not None:
-        table, ball_model = load_learned(task.table_path, config.robot.name)
-        controller = Planner(table, ball_model, config.methods[task.method].planner, config.tracker, decisions.append)
+        plugin = PLANNERS.load(config.methods[task.method].controller.name)
+        planner = plugin.create(config, task.method, task.table_path, decisions.append)
         if on_robot:
-            controller.warm_up()
+            planner.warm_up()
+        controller = planner
     begin = time.perf_counter()
     with contextlib.ExitStack() as stack:
         # One thread, so that the sums do not depend on the number of cores.
@@ -267,19 +265,3 @@ def run_task(task: TrialTask) -> TrialTiming:
             logger.info("%s", stack.enter_context(claimed_priority(BACKEND_PRIORITY)))
         simulated = run_trial(config, trial, controller, task.log_path, duration)
     return TrialTiming(simulated=simulated, elapsed=time.perf_counter() - begin, decisions=tuple(decisions))
-
-
-def load_learned(path: Path, robot: str) -> tuple[LookupTable, BallModel]:
-    """Return the table of a file and the ball model it was learned with.
-
-    Raises:
-        TableFileError: The file cannot be read, or is for another robot.
-    """
-    modified = path.stat().st_mtime_ns if path.is_file() else 0
-    return _load(path, modified, robot)
-
-
-@lru_cache(maxsize=2)  # of some 140 MB each; loky ends a process that grows by more than 300 MB
-def _load(path: Path, _modified: int, robot: str) -> tuple[LookupTable, BallModel]:
-    table = LookupTable.load(path, robot)
-    return table, restore_ball_model(table.origin["ball_model"])

@@ -33,12 +33,12 @@ def load_configs(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
         ConfigError: A config cannot be used.
         BackendNotFoundError: A backend is unknown or not installed, or none is ready.
     """
-    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.config.loading import config_for, load_config
     from imolo.contracts.registry import ready_simulations
 
     if paths:
         return [load_config(path) for path in paths]
-    return [ExperimentConfig(backend=BackendConfig(name=name)) for name in ready_simulations()]
+    return [config_for(name) for name in ready_simulations()]
 
 
 def override(

@@ -46,7 +46,7 @@ def compare(
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
-    console.print(summary.render_comparison(result, timings.timing))
+    console.print(summary.render_comparison(result, timings.timing, chosen[0]))
     figures.draw_all(result, chosen, folder)
     say(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
 
@@ -65,7 +65,7 @@ def learn(
 ) -> None:
     """Learn balls and motions on one backend and build the table of each method."""
     from imolo.campaigns import comparison
-    from imolo.config.experiment import load_config
+    from imolo.config.loading import load_config
     from imolo.trials.learning import spread_motions
 
     chosen = override(load_config(config), seed=seed, scheduler=scheduler)
@@ -93,7 +93,7 @@ def hit(
 ) -> None:
     """Throw balls on one backend and hit them with a table, perhaps learned on another backend."""
     from imolo.campaigns import comparison, summary
-    from imolo.config.experiment import load_config
+    from imolo.config.loading import load_config
     from imolo.method.table import LookupTable
 
     chosen = override(load_config(config), seed=seed, balls=balls, scheduler=scheduler)
@@ -101,7 +101,7 @@ def hit(
         raise ConfigError(
             f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
         )
-    LookupTable.load(table, chosen.robot.name)
+    LookupTable.load(table, chosen.robot.name, type(chosen.motion))
     folder = open_results(out, fresh)
     folder.prepare()
     name = chosen.backend.name
@@ -109,6 +109,6 @@ def hit(
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_config(chosen)
     folder.save_json("summary.json", results[name][method])
-    console.print(summary.render_results(results, timing))
+    console.print(summary.render_results(results, timing, chosen))
     console.print(summary.render_causes(results))
     say(f"logs, config and summary.json are in {out}")

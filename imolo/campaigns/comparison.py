@@ -16,16 +16,17 @@ from imolo.campaigns.campaign import (
     hit_tasks,
     learning_tasks,
     leave_interrupts_to_the_parent,
-    load_learned,
     run_tasks,
     with_absolute_paths,
 )
 from imolo.campaigns.kept_trials import TrialTiming
 from imolo.campaigns.results import ResultsFolder, installed_versions
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import TrialKind
+from imolo.contracts.registry import PLANNERS
+from imolo.contracts.trial import TrialKind
 from imolo.errors import ConfigError
 from imolo.messaging.log import read_log
+from imolo.method.learned import load_learned
 from imolo.trials.learning import build_table, learn_ball, learn_motions
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult, judge_campaign, judge_trial
 from imolo.trials.recordings import hand_in_swing
@@ -69,8 +70,10 @@ class Comparison(BaseModel):
         versions: Of Python and the packages that were used.
         configs: Hash of the resolved config by backend; the configs lie beside the summary.
         results: By backend, then by method.
-        disagreement: Distance between the hands of two backends for the same command, `AGREEMENT_TIME` after t_w,
-            over the training motions [m]; by "a - b".
+        disagreement: Distance between the hands of two backends for the same command in the middle of the swing, over
+            the training motions [m]; by "a - b".
+        robot: Its name.
+        task: Name of the task.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -80,6 +83,8 @@ class Comparison(BaseModel):
     configs: dict[str, str]
     results: dict[str, dict[str, MethodResult]]
     disagreement: dict[str, Statistic]
+    robot: str = ""
+    task: str = ""
 
 
 def _no_progress(what: str, done: int, total: int) -> None: ...
@@ -118,6 +123,8 @@ def compare(
         configs={name: config.digest() for name, config in named.items()},
         results=results,
         disagreement=disagreement,
+        robot=configs[0].robot.name,
+        task=configs[0].task.name,
     )
     timings = Timings(timing=timing)
     folder.save_json("summary.json", comparison)
@@ -192,8 +199,12 @@ def hit(
 
 def _judge(task: TrialTask) -> TrialResult:
     leave_interrupts_to_the_parent()
-    table = None if task.table_path is None else load_learned(task.table_path, task.config.robot.name)[0]
-    return judge_trial(read_log(task.log_path), task.config, task.config.methods[task.method], table)
+    config = task.config
+    learns = PLANNERS.load(config.methods[task.method].controller.name).learns
+    table = (
+        load_learned(task.table_path, config.robot.name, type(config.motion))[0] if learns and task.table_path else None
+    )
+    return judge_trial(read_log(task.log_path), config, config.methods[task.method], table)
 
 
 def _run_groups(
@@ -241,7 +252,7 @@ def _disagreement(learning: Mapping[str, Sequence[TrialTask]]) -> dict[str, Stat
 
 def _training_hands(tasks: Sequence[TrialTask]) -> dict[int, Array]:
     training = [task for task in tasks if task.trial.kind is TrialKind.TRAINING]
-    hands = {t.trial.index: hand_in_swing(read_log(t.log_path), t.config.robot.hand_marker) for t in training}
+    hands = {t.trial.index: hand_in_swing(read_log(t.log_path), t.config) for t in training}
     return {index: hand for index, hand in hands.items() if hand is not None}
 
 

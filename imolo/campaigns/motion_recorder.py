@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +11,22 @@ from scipy.interpolate import CubicSpline
 
 from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.config.loading import body_of
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import TrainingDataError
 from imolo.messaging.log import read_log
 from imolo.method.forward_model import TrainingData
-from imolo.method.motion import Theta
-from imolo.studies.attribution import NO_CHANCE
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.trials.recordings import last_plan, marker_track
 from imolo.trials.trainer import START_MARGIN
 
 Array = NDArray[np.float64]
+
+NO_CHANCE: dict[str, Any] = {
+    "disturbance": {"profile": "none"},
+    "mocap": {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 0.0, "unlabelled": 0.0},
+}
+"""What of `simulation` makes motions go the same every time and be seen exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,30 +54,32 @@ class Recording:
 
 @dataclass(frozen=True)
 class Window:
-    """When the arm swings, since t_w [s]; the bounds are excluded."""
+    """When an effector may meet the ball, since the start of the swing [s]; the bounds are excluded."""
 
     start: float
     stop: float
 
-    def samples(self, recordings: Sequence[Recording]) -> TrainingData:
+    def samples(self, recordings: Sequence[Recording], motion: MotionTemplate) -> TrainingData:
         """Return the tuples (s, t, theta) of the frames in the window."""
         theta, time, position = [], [], []
         for recording in recordings:
-            since = recording.time - recording.theta.t_w
+            since = recording.time - motion.swing_of(recording.theta)
             inside = (since > self.start) & (since < self.stop)
             theta += [recording.theta] * int(inside.sum())
             time.append(recording.time[inside])
             position.append(recording.position[inside])
-        return TrainingData(np.array(theta).reshape(-1, 2), np.concatenate(time), np.concatenate(position))
+        return TrainingData(
+            np.array(theta).reshape(-1, len(motion.parameters)), np.concatenate(time), np.concatenate(position)
+        )
 
 
 def without_chance(config: ExperimentConfig) -> ExperimentConfig:
     """Return a config whose motions go the same every time and are seen exactly."""
     content = config.model_dump()
     content["simulation"].update(NO_CHANCE)
-    # Pressures are not looked at, and every message costs time.
-    content["simulation"].update(pressure_rate=config.simulation.mocap.rate, truth_rate=config.simulation.mocap.rate)
-    return ExperimentConfig.model_validate(content)
+    # Sensors are not looked at, and every message costs time.
+    content["simulation"].update(sensor_rate=config.simulation.mocap.rate, truth_rate=config.simulation.mocap.rate)
+    return type(config).model_validate(content)
 
 
 def record_motions(
@@ -118,10 +127,10 @@ def record_motions(
 def _read(task: TrialTask, end: float) -> Recording:
     log = read_log(task.log_path)
     plan = last_plan(log)
-    time, position = marker_track(log, task.config.robot.hand_marker)
+    time, position = marker_track(log, body_of(task.config.robot).learning_marker)
     if plan is not None:
         time = time - plan.plan_onset_utime * 1e-6
-        recording = Recording(Theta(*plan.theta), time, position)
+        recording = Recording(tuple(plan.theta), time, position)
         if recording.covers(end):
             return recording
     raise TrainingDataError(f"{task.log_path} does not show the hand {end:.3f} s after the onset of a motion")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import backend_options
 from imolo.errors import ResultsError
 from imolo.messaging.log import LOG_SUFFIX
 
@@ -92,7 +93,7 @@ class ResultsFolder:
         path = self.path / "configs" / f"{config.backend.name}.yaml"
         path.parent.mkdir(parents=True, exist_ok=True)
         content = config.model_dump(mode="json")
-        content["backend"].update(config.backend_options().model_dump(mode="json"))
+        content["backend"].update(backend_options(config).model_dump(mode="json"))
         path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
 
     def save_figure(self, name: str, figure: Figure) -> Path:

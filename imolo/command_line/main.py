@@ -36,13 +36,13 @@ for _installed in entry_points(group="imolo.commands"):
 @app.command()
 def backends() -> None:
     """List the backends that are installed, and what is missing for the others."""
-    from imolo.contracts.registry import backend_names, backend_status
+    from imolo.contracts.registry import BACKENDS
 
     table = Table(box=None, pad_edge=False)
     for title in ("backend", "state", "about"):
         table.add_column(title)
-    for name in backend_names():
-        status = backend_status(name)
+    for name in BACKENDS.names():
+        status = BACKENDS.status(name)
         if status.plugin is None:
             table.add_row(name, "[red]missing[/red]", escape(status.problem))
         else:

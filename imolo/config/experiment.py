@@ -1,27 +1,24 @@
-"""The whole configuration of an experiment: what a YAML file may say, and every default."""
+"""The whole configuration of an experiment: what a YAML file may say."""
 
 import hashlib
 import json
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, SerializeAsAny, model_validator
 
 from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTrackerConfig
 from imolo.config.model import Model, NonNegative, Positive
-from imolo.config.reading import explain, read_model
 from imolo.config.simulation import SimulationConfig
-from imolo.contracts.registry import load_backend
 from imolo.errors import ConfigError
-from imolo.method.forward_model import GPR, ForwardModelConfig
-from imolo.method.motion import TRAINING_MOTIONS, MotionTemplate, Theta
+from imolo.method.forward_model import ForwardModelConfig
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
 from imolo.method.table import TableGrid
 
 
-class BackendConfig(Model):
-    """Which backend; every other key is an option of that backend and checked by it."""
+class PluginConfig(Model):
+    """Which plug-in; every other key is an option of that plug-in and checked by it."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -29,19 +26,26 @@ class BackendConfig(Model):
 
 
 class RobotConfig(Model):
-    """The robot that moves, as far as the method must know it."""
+    """Which robot; a robot may have options of its own."""
 
-    name: str = Field("liberobot", description="a table learned on another robot is refused")
-    hand_marker: int = Field(6, description="mocap label of the hand that is to hit the ball")
-    other_hand_marker: int = Field(7, description="of the other one, which `planner.choice: probability` may choose")
+    name: str = Field(description="a table learned on another robot is refused")
 
 
 class TrainingConfig(Model):
     """How the motions are learned (Sec. VII-B)."""
 
-    motions: Annotated[tuple[Theta, ...], Field(min_length=1)] = TRAINING_MOTIONS
-    sampled_from: NonNegative = Field(0.13, description="since t_w, excluded [s], Sec. VII-B")
-    sampled_to: NonNegative = Field(0.22, description="since t_w, excluded [s], Sec. VII-B")
+    motions: Annotated[tuple[Theta, ...], Field(min_length=1)]
+    sampled_from: NonNegative = Field(description="since the start of the swing, excluded [s]")
+    sampled_to: NonNegative = Field(description="since the start of the swing, excluded [s]")
+
+    compared_at: NonNegative | None = Field(
+        None, description="when in the swing two backends are compared [s]; in the middle of the samples if not given"
+    )
+
+    @property
+    def comparison_time(self) -> float:
+        """When in the swing two backends are compared, since its start [s]."""
+        return 0.5 * (self.sampled_from + self.sampled_to) if self.compared_at is None else self.compared_at
 
 
 class ParallelConfig(Model):
@@ -65,69 +69,55 @@ class CampaignConfig(Model):
 
 
 class MethodConfig(Model):
-    """One way to learn and to plan; the defaults are the paper's."""
+    """One way to learn and to plan."""
 
     ball_model: BallModelConfig = BallModelConfig()
     forward_model: ForwardModelConfig = ForwardModelConfig()
-    grid: TableGrid = TableGrid()
+    grid: TableGrid
     planner: PlannerConfig = PlannerConfig()
-
-
-METHODS: dict[str, MethodConfig] = {
-    "paper": MethodConfig(),
-    "improved": MethodConfig(
-        ball_model=BallModelConfig(kind="spin"),
-        forward_model=GPR.model_copy(update={"kernel": "matern", "time": "since_swing"}),
-        grid=TableGrid(unique="all", match="cell"),
-        planner=PlannerConfig(observation_time=0.1, choice="probability"),
-    ),
-}
-"""The paper's method, and the same with drag and lift of the ball, a better regression, a table that answers more
-queries, and the choice of the motion that most probably hits, measured beside it."""
+    controller: PluginConfig = Field(
+        PluginConfig(name="imolo"), description="what plans; `planner` holds the settings of IMoLo's own"
+    )
 
 
 class ExperimentConfig(Model):
-    """An experiment on one backend."""
+    """An experiment on one backend; a robot has a subclass with its own kinds of motion and actuators."""
 
     seed: Annotated[int, Field(ge=0)] = 1
     bus: str = Field(
         "memq://", description="LCM URL; memq:// stays in the process and repeats exactly, udpm:// lets lcm-spy watch"
     )
-    backend: BackendConfig
-    robot: RobotConfig = RobotConfig()
-    motion: MotionTemplate = MotionTemplate()
-    training: TrainingConfig = TrainingConfig()
+    backend: PluginConfig
+    robot: SerializeAsAny[RobotConfig]
+    task: PluginConfig
+    motion: SerializeAsAny[MotionTemplate]
+    training: TrainingConfig
     tracker: BallTrackerConfig = BallTrackerConfig()
-    methods: Annotated[dict[str, MethodConfig], Field(min_length=1)] = METHODS
+    methods: Annotated[dict[str, MethodConfig], Field(min_length=1)]
     campaign: CampaignConfig = CampaignConfig()
-    simulation: SimulationConfig = SimulationConfig()
+    simulation: SimulationConfig
 
-    def backend_options(self) -> Model:
-        """Return the validated options of the backend.
-
-        Raises:
-            BackendNotFoundError: The backend is unknown or not installed.
-            ConfigError: An option is unknown or out of range.
-        """
-        plugin = load_backend(self.backend.name)
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
         try:
-            return plugin.options.model_validate(self.backend.model_extra or {})
-        except ValidationError as error:
-            raise ConfigError(explain(error, plugin.options, f"backend {self.backend.name!r}")) from error
+            for method in self.methods.values():
+                method.grid.check(self.motion)
+            for theta in self.training.motions:
+                self.motion.commands(theta, 0)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        channels = self.simulation.actuators.channels
+        for phase in self.motion.commands(self.training.motions[0], 0).targets:
+            if len(phase) != len(channels):
+                raise ValueError(f"the motion commands {len(phase)} channels, the actuators have {len(channels)}")
+        return self
+
+    @property
+    def last_method(self) -> MethodConfig:
+        """The method that pictures and studies show, where they show one."""
+        return list(self.methods.values())[-1]
 
     def digest(self) -> str:
         """Return a short hash of everything that shapes the results."""
         content = self.model_dump(mode="json", exclude={"campaign": {"parallel"}})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def load_config(path: Path) -> ExperimentConfig:
-    """Read and check a YAML file.
-
-    Raises:
-        ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
-        BackendNotFoundError: Its backend is unknown or not installed.
-    """
-    config = read_model(path, ExperimentConfig, "it needs at least a line such as `backend: {name: mujoco}`")
-    config.backend_options()
-    return config

@@ -1,5 +1,6 @@
 """Read a model from YAML, and say in one line what is wrong with it."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -9,6 +10,27 @@ from pydantic import BaseModel, ValidationError
 from imolo.errors import ConfigError, did_you_mean
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
+
+def read_yaml(path: Path, least: str) -> dict[str, Any]:
+    """Read the settings of a YAML file.
+
+    Args:
+        path: The file.
+        least: What to tell the author of a file without any settings.
+
+    Raises:
+        ConfigError: The file cannot be read, or holds no settings.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} holds no settings; {least}")
+    return content
 
 
 def read_model(path: Path, model: type[AnyModel], least: str) -> AnyModel:
@@ -22,18 +44,24 @@ def read_model(path: Path, model: type[AnyModel], least: str) -> AnyModel:
     Raises:
         ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path} holds no settings; {least}")
+    return check_model(read_yaml(path, least), model, str(path))
+
+
+def check_model(content: Mapping[str, Any], model: type[AnyModel], where: str) -> AnyModel:
+    """Return a model of plain values.
+
+    Args:
+        content: As YAML has it.
+        model: What it must hold.
+        where: Named in errors.
+
+    Raises:
+        ConfigError: A key is unknown, or a value is out of range.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise ConfigError(explain(error, model, str(path))) from error
+        raise ConfigError(explain(error, model, where)) from error
 
 
 def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:

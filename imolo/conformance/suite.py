@@ -8,11 +8,11 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 from pathlib import Path
 from typing import Any
 
-from imolo.config.experiment import load_config
+from imolo.config.loading import load_config
 from imolo.config.model import Model
 from imolo.conformance.check import Check, Outcome, Verdict, run_check
 from imolo.contracts.backend import BackendPlugin
-from imolo.contracts.registry import GROUP, load_backend, ready_simulations
+from imolo.contracts.registry import BACKENDS, ready_simulations
 from imolo.errors import ConfigError, did_you_mean
 
 
@@ -33,7 +33,7 @@ class Suite:
     @cached_property
     def plugin(self) -> BackendPlugin:
         """What the backend's entry point provides."""
-        return load_backend(self.backend)
+        return BACKENDS.load(self.backend)
 
     @cached_property
     def chosen(self) -> Model:
@@ -77,7 +77,7 @@ class Suite:
     def versions(self) -> dict[str, str]:
         """Return the versions of the packages that the extra of the backend's name brings."""
         found = {}
-        for package in _packages(entry_points(group=GROUP)[self.backend]):
+        for package in _packages(entry_points(group=BACKENDS.group)[self.backend]):
             try:
                 found[package] = version(package)
             except PackageNotFoundError:
@@ -116,7 +116,7 @@ def check_names(only: Iterable[str], chosen: Iterable[Suite]) -> None:
 def _suite(argument: str) -> Suite:
     path = Path(argument)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1:
-        load_backend(argument)
+        BACKENDS.load(argument)
         return Suite(argument, argument)
     config = load_config(path)
     return Suite(path.stem, config.backend.name, dict(config.backend.model_extra or {}))

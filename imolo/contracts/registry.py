@@ -1,17 +1,25 @@
-"""Which backends are installed: the entry points of the group `imolo.backends`, our own and those of others."""
+"""Which plug-ins are installed: the entry points of our groups, our own and those of others."""
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from typing import Generic, TypeVar
 
-from imolo.contracts.backend import BackendPlugin, RobotDescription
+from imolo.contracts.backend import BackendPlugin
+from imolo.contracts.planner import PlannerPlugin
+from imolo.contracts.robot import Robot
+from imolo.contracts.task import TaskPlugin
 from imolo.errors import BackendNotFoundError, did_you_mean
 
-GROUP = "imolo.backends"
+Plugin = TypeVar("Plugin")
+
+DEFAULT_ROBOT = "imolo.default_robot"
+"""Group whose one entry point names the robot of a config that names none."""
 
 
 @dataclass(frozen=True)
-class BackendStatus:
-    """Whether a backend can be used here.
+class PluginStatus(Generic[Plugin]):
+    """Whether a plug-in can be used here.
 
     Attributes:
         name: Its public name.
@@ -20,42 +28,65 @@ class BackendStatus:
     """
 
     name: str
-    plugin: BackendPlugin | None
+    plugin: Plugin | None
     problem: str
 
 
-def backend_names() -> list[str]:
-    """Return the names of all registered backends, usable or not, in alphabetical order."""
-    return sorted(entry_points(group=GROUP).names)
+class Registry(Generic[Plugin]):
+    """The plug-ins of one kind."""
+
+    def __init__(self, kind: str, group: str) -> None:
+        """Look into a group of entry points.
+
+        Args:
+            kind: For people, such as "backend".
+            group: Name of the group.
+        """
+        self.kind, self.group = kind, group
+
+    def names(self) -> list[str]:
+        """Return the names of all registered plug-ins, usable or not, in alphabetical order."""
+        return sorted(entry_points(group=self.group).names)
+
+    def status(self, name: str) -> PluginStatus[Plugin]:
+        """Load a plug-in and say whether it can be used.
+
+        Raises:
+            BackendNotFoundError: None of that name is registered.
+        """
+        names = self.names()
+        if name not in names:
+            raise BackendNotFoundError(
+                f"unknown {self.kind} {name!r}{did_you_mean(name, names)}; registered: {', '.join(names)}"
+            )
+        entry_point = entry_points(group=self.group)[name]
+        try:
+            return PluginStatus(name, entry_point.load(), "")
+        except ImportError as error:
+            return PluginStatus(name, None, _how_to_install(entry_point, error))
+
+    def load(self, name: str) -> Plugin:
+        """Return a plug-in.
+
+        Raises:
+            BackendNotFoundError: It is not registered, or what it needs is not installed.
+        """
+        status = self.status(name)
+        if status.plugin is None:
+            raise BackendNotFoundError(f"{self.kind} {name!r} cannot be used: {status.problem}")
+        return status.plugin
 
 
-def backend_status(name: str) -> BackendStatus:
-    """Load a backend and say whether it can be used.
-
-    Raises:
-        BackendNotFoundError: No backend of that name is registered.
-    """
-    if name not in backend_names():
-        raise BackendNotFoundError(
-            f"unknown backend {name!r}{did_you_mean(name, backend_names())}; registered: {', '.join(backend_names())}"
-        )
-    entry_point = entry_points(group=GROUP)[name]
-    try:
-        return BackendStatus(name, entry_point.load(), "")
-    except ImportError as error:
-        return BackendStatus(name, None, _how_to_install(entry_point, error))
+BACKENDS: Registry[BackendPlugin] = Registry("backend", "imolo.backends")
+ROBOTS: Registry[Robot] = Registry("robot", "imolo.robots")
+TASKS: Registry[TaskPlugin] = Registry("task", "imolo.tasks")
+PLANNERS: Registry[PlannerPlugin] = Registry("planner", "imolo.planners")
 
 
-def load_backend(name: str) -> BackendPlugin:
-    """Return the plugin of a backend.
-
-    Raises:
-        BackendNotFoundError: It is not registered, or what it needs is not installed.
-    """
-    status = backend_status(name)
-    if status.plugin is None:
-        raise BackendNotFoundError(f"backend {name!r} cannot be used: {status.problem}")
-    return status.plugin
+@cache
+def default_robot() -> str:
+    """Return the name of the robot of a config that names none."""
+    return next(iter(sorted(entry_points(group=DEFAULT_ROBOT).names)), "")
 
 
 def ready_simulations() -> list[str]:
@@ -64,20 +95,11 @@ def ready_simulations() -> list[str]:
     Raises:
         BackendNotFoundError: There are none.
     """
-    plugins = {name: backend_status(name).plugin for name in backend_names()}
+    plugins = {name: BACKENDS.status(name).plugin for name in BACKENDS.names()}
     ready = [name for name, plugin in plugins.items() if plugin is not None and plugin.simulated]
     if not ready:
         raise BackendNotFoundError("no backend is ready; `imolo backends` says what to install")
     return ready
-
-
-def describe_robot(name: str) -> RobotDescription | None:
-    """Return what a robot looks like, from any backend that is ready and has it; None if none has."""
-    for backend in backend_names():
-        plugin = backend_status(backend).plugin
-        if plugin is not None and plugin.robot is not None and plugin.robot.name == name:
-            return plugin.robot
-    return None
 
 
 def _how_to_install(entry_point: EntryPoint, error: ImportError) -> str:

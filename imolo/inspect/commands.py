@@ -158,7 +158,9 @@ def view(
     url: Url = LOCAL_URL,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page, on this machine only.")] = 8080,
     speed: Annotated[float, typer.Option(min=0.01, help="How fast logs are played.")] = 0.25,
-    robot: Annotated[str, typer.Option(help="Robot of a running session.")] = "liberobot",
+    robot: Annotated[
+        str | None, typer.Option(help="Robot of a running session [default: that of the default config].")
+    ] = None,
 ) -> None:
     """Show sessions in the browser: logs, or without any the session that runs on a bus."""
     from imolo.machine.extras import import_extra
@@ -166,6 +168,7 @@ def view(
 
     import_extra("viser", "view")
     import_extra("yourdfpy", "view")
+    from imolo.contracts.registry import default_robot
     from imolo.inspect.plot import short_names
     from imolo.view import viewer
     from imolo.view.sessions import recorded_sessions
@@ -177,7 +180,7 @@ def view(
         raise ConfigError("--html needs logs to write; a running session can only be watched")
     try:
         if not logs:
-            viewer.serve_live(url, port, robot, tell)
+            viewer.serve_live(url, port, robot or default_robot(), tell)
             return
         sessions = recorded_sessions([read_log(log) for log in logs], short_names(logs))
         if html is None:

@@ -2,16 +2,17 @@
 
 from pathlib import Path
 
-from imolo.campaigns.campaign import load_learned
-from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
-from imolo.contracts.backend import EventName
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for, load_config
+from imolo.contracts.planner import Planner
+from imolo.contracts.registry import PLANNERS
+from imolo.contracts.trial import EventName
 from imolo.errors import BusError, ConfigError, did_you_mean
 from imolo.inspect.diff import RunComparison, compare_runs
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import decode, read_log
 from imolo.messaging.log_file import LogEvent, read_events
-from imolo.method.planner import Planner
 
 HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
 SAID = (channels.VALVE_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
@@ -36,13 +37,13 @@ def replay(log_path: Path, table_path: Path, method: str, config_path: Path | No
     start = next((event for event in log.messages[channels.TRIAL] if event.event == EventName.START), None)
     if start is None:
         raise BusError(f"{log_path} holds no start of a trial, so there is nothing to replay")
-    config = _config(config_path, start.backend)
+    config = _config(config_path, start.backend, start.robot)
     if method not in config.methods:
         raise ConfigError(
             f"unknown method {method!r}{did_you_mean(method, config.methods)}; known: {', '.join(config.methods)}"
         )
-    table, ball_model = load_learned(table_path, start.robot)
-    planner = Planner(table, ball_model, config.methods[method].planner, config.tracker)
+    plugin = PLANNERS.load(config.methods[method].controller.name)
+    planner = plugin.create(config, method, table_path, lambda _: None)
     recorded = [event for event in events if event.channel in SAID]
     return compare_runs(recorded, answers(planner, events))
 
@@ -69,7 +70,7 @@ def answers(planner: Planner, events: list[LogEvent]) -> list[LogEvent]:
     return said
 
 
-def _config(path: Path | None, backend: str) -> ExperimentConfig:
+def _config(path: Path | None, backend: str, robot: str) -> ExperimentConfig:
     if path is not None:
         return load_config(path)
-    return ExperimentConfig(backend=BackendConfig(name=backend))
+    return config_for(backend, robot={"name": robot})

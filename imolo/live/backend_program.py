@@ -12,8 +12,8 @@ from pathlib import Path
 from imolo.campaigns.campaign import log_name
 from imolo.campaigns.kept_trials import set_aside
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import EventName, Trial, TrialKind
-from imolo.contracts.registry import load_backend
+from imolo.config.loading import backend_plugin
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError, BusError, ConfigError, ResultsError, TrialVoidError
 from imolo.live.identity import ClockMode, Identity, Role, shared_sections
 from imolo.live.node import Node
@@ -66,7 +66,7 @@ class BackendProgram:
         identity = Identity(Role.BACKEND, config.robot.name, clock.value, shared_sections(config))
         self._node = Node(bus, identity, console.say)
         planner = RealtimePlanner if clock is ClockMode.REALTIME else LockstepPlanner
-        self._planner = planner(bus, self._node, stop, console)
+        self._planner = planner(config, bus, self._node, stop, console)
         self._requests: dict[int, _Request] = {}
         self._open: deque[_Request] = deque()
         bus.subscribe_raw(self._on_request, channels.THROW_REQUEST)
@@ -165,7 +165,7 @@ class BackendProgram:
         self._bus.publish(channels.THROW_REPORT, report)
 
     def _simulated(self) -> bool:
-        return load_backend(self._config.backend.name).simulated
+        return backend_plugin(self._config).simulated
 
     def _warm_up(self) -> None:
         """Load and compile, so that neither the first heartbeats nor the first trial are late."""

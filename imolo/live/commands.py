@@ -115,7 +115,7 @@ def _end(left: int) -> None:
 
 
 def _load(path: Path) -> "ExperimentConfig":
-    from imolo.config.experiment import load_config
+    from imolo.config.loading import load_config
 
     return load_config(path)
 

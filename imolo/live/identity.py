@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from imolo.method.motion import MotionTemplate
 
 # What surrounds the robot is the backend's business alone, and so is which backend it is.
-SHARED_SECTIONS = ("motion", "robot", "tracker", "training", "methods")
+SHARED_SECTIONS = ("motion", "robot", "task", "tracker", "training", "methods")
 
 
 class Role(StrEnum):

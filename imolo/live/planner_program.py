@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from imolo.campaigns.campaign import load_learned
 from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.planner import Controller
+from imolo.contracts.registry import PLANNERS
 from imolo.errors import ConfigError, did_you_mean
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Answerer, Said
@@ -17,8 +18,7 @@ from imolo.live.streams import Latency, Streams, is_start
 from imolo.machine.priority import PLANNER_PRIORITY, claim_priority
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.planner import Planner
-from imolo.trials.trial import Controller
+from imolo.method.table import LookupTable
 from imolo_msgs import step_request_t
 
 
@@ -174,10 +174,12 @@ def run_planner(
             f"unknown method {method!r}{did_you_mean(method, config.methods)}; known: {', '.join(config.methods)}"
         )
     bus = Bus(url)
-    table, ball_model = load_learned(table_path, config.robot.name)
-    planner = Planner(table, ball_model, config.methods[method].planner, config.tracker)
+    plugin = PLANNERS.load(config.methods[method].controller.name)
+    planner = plugin.create(config, method, table_path, lambda _: None)
     planner.warm_up()
-    identity = Identity(Role.PLANNER, table.robot, sections=shared_sections(config, table.template))
+    # What the planner commands is that of the table, where there is one.
+    template = LookupTable.load(table_path, motion=type(config.motion)).template if plugin.learns else None
+    identity = Identity(Role.PLANNER, config.robot.name, sections=shared_sections(config, template))
     program = PlannerProgram(bus, planner, identity, console)
-    console.say(f"method {method!r}, table {table_path} of {table.robot}, on {url}")
+    console.say(f"method {method!r}, table {table_path} of {config.robot.name}, on {url}")
     program.run(stop)

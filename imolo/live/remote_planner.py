@@ -12,7 +12,9 @@ from typing import NoReturn
 
 import numpy as np
 
-from imolo.contracts.backend import EventName
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import create_task
+from imolo.contracts.trial import EventName
 from imolo.errors import TrialVoidError
 from imolo.live.clock import Pace
 from imolo.live.identity import Role
@@ -23,7 +25,7 @@ from imolo.live.streams import Latency, Streams
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
-from imolo.method.motion import NUM_VALVES, Commands
+from imolo.method.commands import Commands
 from imolo.trials.trial import SLICE
 from imolo_msgs import trial_event_t, valve_command_t
 
@@ -46,8 +48,10 @@ class RemotePlanner(ABC):
 
     paced = False
 
-    def __init__(self, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
+    def __init__(self, config: ExperimentConfig, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
         """Join the network; `begin` and `attach` follow for every trial."""
+        self._task = create_task(config)
+        self._channels = config.simulation.actuators.channels
         self.streams, self.latency = Streams(), Latency()
         self.frames = 0
         self.outcome = self.lost = ""
@@ -97,7 +101,7 @@ class RemotePlanner(ABC):
 
     def _on_event(self, data: bytes) -> None:
         event = trial_event_t.decode(data)
-        if event.event in (EventName.HIT, EventName.BALL_LANDED) and not self.outcome:
+        if self._task.ends(event) and not self.outcome:
             self.outcome = f"{event.event} at {event.utime * 1e-6:.3f} s, {event.detail}"
         if event.event == EventName.END:
             try:
@@ -175,9 +179,9 @@ class RealtimePlanner(RemotePlanner):
 
     paced = True
 
-    def __init__(self, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
+    def __init__(self, config: ExperimentConfig, bus: Bus, node: Node, stop: Stop, console: Console) -> None:
         """Join the network; `begin` and `attach` follow for every trial."""
-        super().__init__(bus, node, stop, console)
+        super().__init__(config, bus, node, stop, console)
         self.pace = Pace(bus.wait)
         self.late_frames = self.ignored = 0
         self._utime = 0
@@ -275,7 +279,8 @@ class RealtimePlanner(RemotePlanner):
             self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
             return
         sequence = valve_command_t.decode(self._command).command_sequence + 1
-        vent = Commands(utime - 1, (utime,), np.zeros((1, NUM_VALVES))).to_message(utime, sequence)
+        released = np.array([[channel.released for channel in self._channels]])
+        vent = Commands(utime - 1, (utime,), released).to_message(utime, sequence)
         self._inside.publish(channels.VALVE_COMMAND, vent)
         self._bus.publish(channels.VALVE_COMMAND, vent)
         self._console.say(f"{lost} at {utime * 1e-6:.3f} s; all valves vent")

@@ -5,7 +5,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo_msgs import trial_event_t
 

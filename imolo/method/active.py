@@ -15,13 +15,13 @@ def least_certain(model: ForwardModel, motions: Array, since_swing: Sequence[flo
 
     Args:
         model: Fitted; its estimator predicts a standard deviation.
-        motions: To choose from, shape (M, 2): k [-], t_w [s].
-        since_swing: Times t - t_w at which the hand matters [s].
+        motions: To choose from, shape (M, n).
+        since_swing: Times since the start of the swing at which the hand matters [s].
 
     Raises:
         ConfigError: The estimator knows no standard deviation.
     """
     theta = np.repeat(motions, len(since_swing), axis=0)
-    time = theta[:, 1] + np.tile(since_swing, len(motions))
+    time = model.template.swing_start(theta) + np.tile(since_swing, len(motions))
     variance = (model.predict_std(theta, time) ** 2).sum(axis=1).reshape(len(motions), -1)
     return int(variance.sum(axis=1).argmax())

@@ -12,6 +12,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 
 from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
+from imolo.method.motion import MotionTemplate
 from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ class TrainingData:
     """The tuples (s, t, theta) of the trials (Sec. IV-A), copied and read-only.
 
     Attributes:
-        theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+        theta: Motion parameters, shape (N, n).
         time: Time since motion onset [s], shape (N,).
         position: Hand positions in the world frame [m], shape (N, 3).
 
@@ -38,11 +39,11 @@ class TrainingData:
     position: Array
 
     def __post_init__(self) -> None:
-        for name, width in (("theta", (2,)), ("time", ()), ("position", (3,))):
+        for name, width in (("theta", ("n",)), ("time", ()), ("position", (3,))):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-            if array.ndim != len(width) + 1 or array.shape[1:] != width:
+            if array.ndim != len(width) + 1 or (width == (3,) and array.shape[1] != 3):
                 raise TrainingDataError(f"{name} has shape {array.shape}; give {('N', *width)}".replace("'", ""))
             if len(array) != len(self.theta):
                 raise TrainingDataError(
@@ -55,7 +56,7 @@ class TrainingData:
                 )
         if len(self.theta) == 0:
             raise TrainingDataError(
-                "there are no training samples; record trials that reach the sampled time after t_w"
+                "there are no training samples; record trials that reach the sampled time of the swing"
             )
 
     def thinned(self, most: int) -> "TrainingData":
@@ -71,9 +72,9 @@ class ForwardModelConfig(Model):
         estimator: Class name of a scikit-learn regressor.
         parameters: Arguments of its constructor; the others keep scikit-learn's defaults. Where another estimator than
             SVR is named, none are given.
-        inputs: Feed k, t_w [s] and time [s] as they are, or with zero mean and unit variance over the samples.
+        inputs: Feed theta and time [s] as they are, or with zero mean and unit variance over the samples.
         outputs: The same for the positions [m].
-        time: Third input: the time since the onset as in Eq. 2, or since the swing, t - t_w.
+        time: Last input: the time since the onset as in Eq. 2, or since the start of the swing, t - t_w.
         kernel: Of a Gaussian process: infinitely smooth, or once differentiable (Matérn 3/2), which claims to know less
             between the trials.
         prior: Table file learned on another body; the regression then learns by which the samples differ from what
@@ -149,11 +150,14 @@ class ForwardModel:
     With a prior, s = prior(theta, t) + r(theta, t): the regression learns r, by which the samples differ from it.
     """
 
-    def __init__(self, config: ForwardModelConfig = PAPER_SVR, prior: "ForwardModel | None" = None) -> None:
+    def __init__(
+        self, config: ForwardModelConfig, template: MotionTemplate, prior: "ForwardModel | None" = None
+    ) -> None:
         """Create an unfitted model.
 
         Args:
             config: Which regression.
+            template: Whose theta it is.
             prior: A fitted model of another body, such as an engine, that moves nearly alike.
 
         Raises:
@@ -162,8 +166,11 @@ class ForwardModel:
         if config.prior is not None and prior is None:
             raise ConfigError(f"the model is to correct the prior {config.prior}; use `prior.fit_forward_model`")
         self.config = config
+        self.template = template
         self.prior = prior
-        self._unfitted = make_regressor(config.estimator, config.parameters, num_inputs=3, kernel=config.kernel)
+        self._unfitted = make_regressor(
+            config.estimator, config.parameters, num_inputs=len(template.parameters) + 1, kernel=config.kernel
+        )
         self._training: TrainingData | None = None
         self._regressor: Any
         self._input_scaling: _Scaling
@@ -185,7 +192,7 @@ class ForwardModel:
         """Learn from the samples of the trials.
 
         Args:
-            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            theta: Motion parameters, shape (N, n).
             time: Time since motion onset [s], shape (N,).
             position: Hand positions in the world frame [m], shape (N, 3).
 
@@ -194,6 +201,10 @@ class ForwardModel:
             ConfigError: The estimator refuses a parameter or the number of samples.
         """
         training = TrainingData(np.asarray(theta), np.asarray(time), np.asarray(position))
+        if training.theta.shape[1] != len(self.template.parameters):
+            raise TrainingDataError(
+                f"theta has shape {training.theta.shape}; give (N, {len(self.template.parameters)}), one per parameter"
+            )
         features = self._features(training.theta, training.time)
         input_scaling = _Scaling.of(features, self.config.inputs)
         outputs = training.position - self._expected(training.theta, training.time)
@@ -218,7 +229,7 @@ class ForwardModel:
         """Predict hand positions (Eq. 2).
 
         Args:
-            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            theta: Motion parameters, shape (N, n).
             time: Time since motion onset [s], shape (N,).
 
         Returns:
@@ -241,7 +252,7 @@ class ForwardModel:
         """Predict the standard deviation of hand positions, the noise of the samples included, and that of the prior.
 
         Args:
-            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            theta: Motion parameters, shape (N, n).
             time: Time since motion onset [s], shape (N,).
 
         Returns:
@@ -273,11 +284,11 @@ class ForwardModel:
         """Return the same model of other samples; a fitted Gaussian process keeps its kernel, and the prior stays.
 
         Args:
-            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            theta: Motion parameters, shape (N, n).
             time: Time since motion onset [s], shape (N,).
             position: Hand positions in the world frame [m], shape (N, 3).
         """
-        other = ForwardModel(self.config, self.prior)
+        other = ForwardModel(self.config, self.template, self.prior)
         if isinstance(self._unfitted, GaussianProcessRegressor):
             # 15 searches for a kernel take seconds, and one trial less would not find another.
             other._unfitted = clone(self._unfitted).set_params(kernel=self._regressor.kernel_, optimizer=None)
@@ -306,5 +317,5 @@ class ForwardModel:
 
     def _features(self, theta: Array, time: Array) -> Array:
         if self.config.time == "since_swing":
-            time = time - theta[:, 1]
+            time = time - self.template.swing_start(theta)
         return np.column_stack((theta, time))

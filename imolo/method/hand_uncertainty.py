@@ -53,7 +53,7 @@ class HandUncertainty:
         """Return the standard deviation along each world axis [m], shape (N, 3).
 
         Args:
-            theta: Motion parameters, shape (N, 2): k [-], t_w [s].
+            theta: Motion parameters, shape (N, n).
             time: Time since motion onset [s], shape (N,).
         """
         result: Array = np.sqrt(_variance(self._model, theta, time) + self.floor**2)

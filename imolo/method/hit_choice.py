@@ -1,27 +1,32 @@
 """The choice of the hit by its probability, beside the first tuple that is close enough (Sec. IV-A)."""
 
-import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from imolo.config.model import Fraction, Model, NonNegative, Positive
+from imolo.errors import ConfigError
+from imolo.method.commands import to_microseconds
 from imolo.method.hit_kernel import BallPath, Extent, Found, Swings, Underway, most_probable, most_probable_of
-from imolo.method.motion import MotionTemplate, Theta, to_microseconds
+from imolo.method.motion import MotionTemplate, Theta, motion_rows
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+COARSE = 130  # motions that are tried first, evenly over all
 VELOCITY_SPAN = 0.012  # [s] over which the velocity of the hand is taken: the grid's 3 mm of rounding are then 0.2 m/s
 
 
 class HitConfig(Model):
     """What a hit is and when it is likely enough, for the choice by probability."""
 
-    plate_width: Positive = Field(0.080, description="short side of the plate [m], Sec. V-A")
-    ball_radius: Positive = Field(0.045, description="[m], Sec. VII-A")
+    effector_width: Positive | None = Field(
+        None, description="short side of what is to meet the ball [m]; the robot's own if not given"
+    )
+    ball_radius: Positive | None = Field(None, description="[m]; that of `simulation.ball` if not given")
     timing_std: NonNegative = Field(
         0.002, description="of the swing against its commands [s], assumed: 1 ms of delivery and as much of valves"
     )
@@ -31,6 +36,9 @@ class HitConfig(Model):
     farthest: Positive = Field(
         0.30,
         description="ball and hand farther apart than this are not considered to meet [m]: the length of the plate",
+    )
+    coarse: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
+        None, description=f"values of each parameter that are tried first; together about {COARSE} if not given"
     )
     look_ahead: tuple[Positive, ...] = Field(
         (0.0083, 0.05, 0.1, 0.15, 0.2),
@@ -57,17 +65,20 @@ class ProbableHit:
     side: int
 
 
-def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array, spacing: float) -> Swings:
+def group_by_motion(
+    template: MotionTemplate, theta: Array, time: Array, position: Array, hand_std: Array, spacing: float
+) -> Swings:
     """Order the tuples of a table by motion and give them velocities.
 
     Args:
-        theta: Of the tuples, shape (M, 2): k [-], t_w [s].
+        template: What theta changes.
+        theta: Of the tuples, shape (M, n).
         time: [s], shape (M,).
         position: Grid points [m], shape (M, 3).
         hand_std: Of the hand about its prediction [m], one row per distinct theta in ascending order, shape (T, 3).
         spacing: d_grid [m].
     """
-    order = np.lexsort((time, theta[:, 1], theta[:, 0]))
+    order = np.lexsort((time, *theta.T[::-1]))
     theta = theta[order]
     # Side by side in memory: the search looks at few tuples of many motions.
     tuples = np.column_stack((time[order], position[order], np.zeros_like(position)))
@@ -76,21 +87,18 @@ def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array,
     fresh[1:] = (theta[1:] != theta[:-1]).any(axis=1)
     start = np.append(np.flatnonzero(fresh), len(theta)).astype(np.int64)
     motions = theta[fresh]
-    k, row = np.unique(motions[:, 0], return_inverse=True)
-    t_w, column = np.unique(motions[:, 1], return_inverse=True)
-    lattice = np.full((len(k), len(t_w)), -1, dtype=np.int64)
-    lattice[row, column] = np.arange(len(motions))
-    # The grid of k need not be symmetric: the stored k nearest to -k mirrors it, to half a step.
-    opposite = np.abs(k[:, np.newaxis] + k).argmin(axis=1)
-    step = np.diff(k).max() if len(k) > 1 else 0.0
-    opposite = np.where(np.abs(k[opposite] + k) <= 0.5 * step + 1e-9, opposite, -1)
-    mirror = np.where(opposite[row] >= 0, lattice[opposite[row], column], -1)
+    values, places = zip(*(np.unique(column, return_inverse=True) for column in motions.T), strict=True)
+    size = np.array([len(value) for value in values], dtype=np.int64)
+    place = np.column_stack(places).astype(np.int64)
+    lattice = np.full(int(np.prod(size)), -1, dtype=np.int64)
+    lattice[np.ravel_multi_index(tuple(place.T), size)] = np.arange(len(motions))
     velocity[:] = _velocities(time, position, start)
     return Swings(
         lattice=lattice,
-        place=np.column_stack((row, column)).astype(np.int64),
-        mirror=mirror.astype(np.int64),
-        theta=np.column_stack((motions[:, 0], np.rint(motions[:, 1] * 1e6))),
+        size=size,
+        place=place,
+        mirror=_mirrored(template, values, place, lattice, size),
+        motion=motion_rows(template, motions),
         # A grid point stands for a cell in which the hand may be anywhere.
         variance=np.ascontiguousarray(hand_std**2 + spacing**2 / 12.0),
         start=start,
@@ -99,6 +107,27 @@ def group_by_motion(theta: Array, time: Array, position: Array, hand_std: Array,
         position=position,
         velocity=velocity,
     )
+
+
+def _mirrored(
+    template: MotionTemplate, values: tuple[Array, ...], place: Indices, lattice: Indices, size: Indices
+) -> Indices:
+    """Return the mirrored motion of each, -1 where there is none, shape (T,)."""
+    sign = template.mirror
+    if sign is None:
+        return np.full(len(place), -1, dtype=np.int64)
+    mirrored = np.empty_like(place)
+    for axis, (value, factor) in enumerate(zip(values, sign, strict=True)):
+        # The grid need not be symmetric: the stored value nearest to the mirrored one, to half a step.
+        distance = np.abs(value[:, np.newaxis] - factor * value)
+        nearest = distance.argmin(axis=0)
+        step = np.diff(value).max() if len(value) > 1 else 0.0
+        near = distance.min(axis=0) <= 0.5 * step + 1e-9
+        mirrored[:, axis] = np.where(near, nearest, -1)[place[:, axis]]
+    whole = (mirrored >= 0).all(axis=1)
+    result = np.full(len(place), -1, dtype=np.int64)
+    result[whole] = lattice[np.ravel_multi_index(tuple(mirrored[whole].T), size)]
+    return result
 
 
 def _velocities(time: Array, position: Array, start: Indices) -> Array:
@@ -130,8 +159,15 @@ class HitChooser:
             time_step: Between two points of a predicted path [s].
         """
         self._swings, self._template, self._config = swings, template, config
+        if config.effector_width is None or config.ball_radius is None:
+            raise ConfigError("the choice by probability needs hit.effector_width and hit.ball_radius")
+        count = len(swings.size)
+        coarse = config.coarse or (round(COARSE ** (1.0 / count)),) * count
+        if len(coarse) != count:
+            raise ConfigError(f"hit.coarse is {coarse}; give {count} numbers, one per parameter of the motion")
+        self._coarse = np.maximum(1, swings.size // np.array(coarse))
         self._extent = Extent(
-            0.5 * config.plate_width + config.ball_radius,
+            0.5 * config.effector_width + config.ball_radius,
             config.timing_std**2,
             0.5 * time_step + 1e-6,
             config.farthest,
@@ -139,10 +175,12 @@ class HitChooser:
         self._awaited = 0.0
         self._low = swings.position.min(axis=0) - config.farthest
         self._high = swings.position.max(axis=0) + config.farthest
-        mirrored = max(abs(self._low[1]), abs(self._high[1]))
-        self._low[1], self._high[1] = -mirrored, mirrored
+        if template.mirror is not None:
+            mirrored = max(abs(self._low[1]), abs(self._high[1]))
+            self._low[1], self._high[1] = -mirrored, mirrored
         nowhere = BallPath(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3, 3)))
-        most_probable(nowhere, _FREE, True, swings, self._extent)
+        self._free = Underway(swings.motion[0], -1.0, False)
+        most_probable(nowhere, self._free, True, swings, self._extent, self._coarse)
         most_probable_of(np.zeros(1, dtype=np.int64), nowhere, swings, self._extent)
 
     def reachable(self, position: Array) -> slice:
@@ -156,17 +194,20 @@ class HitChooser:
         Args:
             ball: Its path as far as it is `reachable`, with times since an onset now.
         """
-        now = most_probable(ball, _FREE, False, self._swings, self._extent)
+        now = most_probable(ball, self._free, False, self._swings, self._extent, self._coarse)
         if now.motion < 0:
             return None
         if now.probability < self._config.start_probability:
             # What was worth waiting for a frame ago probably still is.
             for delay in sorted(self._config.look_ahead, key=lambda delay: abs(delay - self._awaited)):
                 later = ball._replace(time=ball.time - delay)
-                if most_probable(later, _FREE, False, self._swings, self._extent).probability > now.probability:
+                if (
+                    most_probable(later, self._free, False, self._swings, self._extent, self._coarse).probability
+                    > now.probability
+                ):
                     self._awaited = delay
                     return None
-        return self._hit(most_probable(ball, _FREE, True, self._swings, self._extent))
+        return self._hit(most_probable(ball, self._free, True, self._swings, self._extent, self._coarse))
 
     def update(self, ball: BallPath, theta: Theta, elapsed: float) -> ProbableHit | None:
         """Return the motion to go on with; None if none that can still be commanded comes near,
@@ -177,12 +218,12 @@ class HitChooser:
             theta: Of the motion under way.
             elapsed: Time since its onset at which new commands can take effect [s]; negative before the onset.
         """
-        switch, elapsed_us = to_microseconds(theta.t_w), to_microseconds(elapsed)
-        begun = elapsed_us > to_microseconds(self._template.changed_phase_start(theta.t_w))
-        if begun and elapsed_us > switch:
+        row, elapsed_us = motion_rows(self._template, np.array([theta]))[0], float(to_microseconds(elapsed))
+        shown = elapsed_us > row[len(theta) :]
+        if shown.all():
             return None
-        underway = Underway(theta.k if begun else math.nan, float(switch), float(elapsed_us))
-        best = most_probable(ball, underway, True, self._swings, self._extent)
+        underway = Underway(row, elapsed_us, bool(shown.any()))
+        best = most_probable(ball, underway, True, self._swings, self._extent, self._coarse)
         if best.motion < 0:
             return None
         current = self._motion(theta)
@@ -193,16 +234,10 @@ class HitChooser:
         return self._hit(best)
 
     def _motion(self, theta: Theta) -> int:
-        same = (self._swings.theta[:, 0] == theta.k) & (self._swings.theta[:, 1] == to_microseconds(theta.t_w))
-        found = np.flatnonzero(same)
+        found = np.flatnonzero((self._swings.motion[:, : len(theta)] == theta).all(axis=1))
         return int(found[0]) if len(found) else -1
 
     def _hit(self, found: Found) -> ProbableHit:
-        k, switch = self._swings.theta[found.motion].tolist()
+        theta = tuple(self._swings.motion[found.motion, : self._swings.size.size].tolist())
         position = self._swings.position[found.row] * (1.0, found.side, 1.0)
-        return ProbableHit(
-            Theta(k, switch / 1e6), self._swings.time.item(found.row), position, found.probability, found.side
-        )
-
-
-_FREE = Underway(math.nan, math.nan, -1.0)
+        return ProbableHit(theta, self._swings.time.item(found.row), position, found.probability, found.side)

@@ -18,7 +18,6 @@ Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz
 
 LEAST_CLOSING_SPEED = 0.5  # [m/s] slower, and hand and ball do not meet within a swing
-COARSE_ROWS, COARSE_COLUMNS = 10, 13  # values of k and t_w that are tried first: 28 mm sideways and 16 ms apart
 _LEVEL = 1e-6  # [-] horizontal part of a direction that is not vertical
 _TINY = 1e-12  # [m²]
 _FAR = 6.0  # [standard deviations] beyond which a probability, below 1e-9, is taken for 0
@@ -28,10 +27,12 @@ class Swings(NamedTuple):
     """The tuples of a table by motion, T motions and M tuples in all.
 
     Attributes:
-        lattice: Motion by index of k and of t_w, shape (K, W); -1 where there is none.
-        place: Index of k and of t_w of each motion, shape (T, 2).
-        mirror: Motion with the opposite k, shape (T,); -1 where there is none.
-        theta: k [-], t_w [µs] of each motion, shape (T, 2).
+        lattice: Motion by index of each parameter, the last one fastest, shape (product of `size`,); -1 where there is
+            none.
+        size: Number of values of each parameter, shape (n,).
+        place: Index of each parameter of each motion, shape (T, n).
+        mirror: Mirrored motion, shape (T,); -1 where there is none.
+        motion: As in `table_kernel.keeps_executed_part`, shape (T, 2 n).
         variance: Of the hand's position along each axis [m²], shape (T, 3).
         start: First tuple of each motion, shape (T + 1,).
         span: Time of its first and last tuple since the onset [s], shape (T, 2).
@@ -41,9 +42,10 @@ class Swings(NamedTuple):
     """
 
     lattice: Indices
+    size: Indices
     place: Indices
     mirror: Indices
-    theta: Array
+    motion: Array
     variance: Array
     start: Indices
     span: Array
@@ -85,11 +87,11 @@ class Extent(NamedTuple):
 
 
 class Underway(NamedTuple):
-    """The executed part of a motion, as `keeps_executed_part` wants it."""
+    """The executed part of a motion, as `keeps_executed_part` wants it; `begun` tells that it binds a target."""
 
-    k: float
-    switch_us: float
+    motion: Array
     elapsed_us: float
+    begun: bool
 
 
 class Found(NamedTuple):
@@ -251,47 +253,54 @@ def most_probable_of(motions: Indices, ball: BallPath, swings: Swings, extent: E
 
 
 @njit(cache=True)
-def most_probable(ball: BallPath, underway: Underway, refine: bool, swings: Swings, extent: Extent) -> Found:
+def most_probable(
+    ball: BallPath, underway: Underway, refine: bool, swings: Swings, extent: Extent, coarse: Indices
+) -> Found:
     """Find the motion that most probably meets the ball: on a coarse lattice of theta, then finer around its best.
 
     Args:
         ball: Where it is predicted to fly.
-        underway: What new commands must equal; k is NaN while it is free.
+        underway: What new commands must equal.
         refine: Whether to go on to the finest lattice, or to halve the distances once, for a comparison.
         swings: The table.
         extent: Of plate and ball.
+        coarse: How many values apart those are that are tried first, of each parameter, shape (n,).
     """
     best = Found(0.0, -1, -1, -1, 1)
-    count_k, count_w = swings.lattice.shape
-    step_k, step_w = max(1, count_k // COARSE_ROWS), max(1, count_w // COARSE_COLUMNS)
-    if not math.isnan(underway.k):
-        step_k = step_w = 1  # few motions still fit
-    first_k, last_k, first_w, last_w = 0, count_k, 0, count_w
-    finest = 1 if refine else max(1, max(step_k, step_w) // 2)
-    motions = np.empty(swings.lattice.size, dtype=np.int64)
+    lattice, size, place, motion_rows = swings.lattice, swings.size, swings.place, swings.motion
+    executed, elapsed = underway.motion, underway.elapsed_us
+    # Few motions still fit once a target is bound.
+    step = np.ones_like(coarse) if underway.begun else coarse.copy()
+    first, last = np.zeros_like(size), size.copy()
+    finest = 1 if refine else max(1, step.max() // 2)
+    motions = np.empty(lattice.size, dtype=np.int64)
+    index = np.empty_like(size)
     while True:
         count = 0
-        for i in range(first_k, last_k, step_k):
-            for j in range(first_w, last_w, step_w):
-                motion = swings.lattice[i, j]
-                if motion < 0 or not keeps_executed_part(
-                    swings.theta[motion, 0],
-                    swings.theta[motion, 1],
-                    underway.k,
-                    underway.switch_us,
-                    underway.elapsed_us,
-                ):
-                    continue
+        index[:] = first
+        while index[0] < last[0]:
+            cell = 0
+            for axis in range(len(size)):
+                cell = cell * size[axis] + index[axis]
+            motion = lattice[cell]
+            if motion >= 0 and keeps_executed_part(motion_rows[motion], executed, elapsed):
                 motions[count] = motion
                 count += 1
+            # The next one, the last parameter fastest.
+            axis = len(size) - 1
+            index[axis] += step[axis]
+            while axis > 0 and index[axis] >= last[axis]:
+                index[axis] = first[axis]
+                axis -= 1
+                index[axis] += step[axis]
         found = most_probable_of(motions[:count], ball, swings, extent)
         if found.probability > best.probability:
             best = found
-        if best.motion < 0 or max(step_k, step_w) <= finest:
+        if best.motion < 0 or step.max() <= finest:
             return best
         # Neighbours of the best, half as far apart.
-        i, j = swings.place[best.motion]
-        half_k, half_w = max(1, step_k // 2), max(1, step_w // 2)
-        first_k, last_k = max(i % half_k, i - 2 * half_k), min(count_k, i + 2 * half_k + 1)
-        first_w, last_w = max(j % half_w, j - 2 * half_w), min(count_w, j + 2 * half_w + 1)
-        step_k, step_w = half_k, half_w
+        for axis in range(len(size)):
+            middle, half = place[best.motion, axis], max(1, step[axis] // 2)
+            first[axis] = max(middle % half, middle - 2 * half)
+            last[axis] = min(size[axis], middle + 2 * half + 1)
+            step[axis] = half

@@ -1,299 +1,286 @@
-"""The jump-and-hit motion: from the motion parameter theta to the time series of commands U (Sec. III, V-D).
+"""Motion templates: from the motion parameter theta to the time series of commands U (Secs. III, V-D).
 
-Phases are counted from 1 as in the paper. Phase i lasts from the end of phase i - 1 (the onset for i = 1) to t_i,
-its own end excluded.
+What IMoLo needs of a motion is a vector of parameters, U made from it, and from when on each parameter shows in U, so
+that it can tell which part of a motion is executed already. Any subclass of `MotionTemplate` says so much;
+`PhasedMotion` is the paper's, with any number of channels, phases and parameters.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from imolo.config.model import Model
 from imolo.errors import ConfigError, MessageError
-from imolo_msgs import valve_command_t
+from imolo.method.commands import Commands, to_microseconds
 
 Array = NDArray[np.float64]
 
-NUM_VALVES = 8  # Sec. V-B
-SUPPLY_PRESSURE = 0.9e6  # [Pa] gauge, Sec. VII-B: no valve can be asked for more
-
-_VENTED = np.zeros(NUM_VALVES)
-_VENTED.flags.writeable = False
-
-_Pressure = Annotated[float, Field(ge=0.0, le=SUPPLY_PRESSURE)]
-_Pressures = tuple[_Pressure, _Pressure, _Pressure, _Pressure, _Pressure, _Pressure, _Pressure, _Pressure]
-_PressureSteps = tuple[float, float, float, float, float, float, float, float]
+Theta = tuple[float, ...]
+"""A motion parameter, one number per entry of `MotionTemplate.parameters`."""
 
 
-class Theta(NamedTuple):
-    """The motion parameter (Eq. 3): k [-] of Eq. 1 and the w-th switching time t_w [s] since the onset."""
-
-    k: float
-    t_w: float
-
-
-# Table III, motions 1 to 15.
-TRAINING_MOTIONS: tuple[Theta, ...] = (
-    Theta(k=1.000, t_w=0.210),
-    Theta(k=-1.000, t_w=0.210),
-    Theta(k=1.000, t_w=0.410),
-    Theta(k=-1.000, t_w=0.410),
-    Theta(k=0.833, t_w=0.373),
-    Theta(k=-0.427, t_w=0.259),
-    Theta(k=0.513, t_w=0.396),
-    Theta(k=0.507, t_w=0.280),
-    Theta(k=-0.240, t_w=0.249),
-    Theta(k=0.133, t_w=0.260),
-    Theta(k=-0.847, t_w=0.333),
-    Theta(k=-0.893, t_w=0.305),
-    Theta(k=0.060, t_w=0.280),
-    Theta(k=0.560, t_w=0.376),
-    Theta(k=0.867, t_w=0.327),
-)
-
-
-def to_microseconds(time: float) -> int:
-    """Round a time [s] to the whole microseconds of the messages."""
-    return round(time * 1e6)
-
-
-@dataclass(frozen=True, eq=False)
-class Commands:
-    """The time series of the control target U (Sec. III), on the clock of the messages.
+class Parameter(Model):
+    """One entry of theta.
 
     Attributes:
-        onset_utime: Start of phase 1 [µs].
-        switch_utime: End of each phase [µs], strictly increasing, shape (P,).
-        target_pressure: Target gauge pressure of the valves 1..8 in each phase [Pa], shape (P, 8), read-only.
-
-    Raises:
-        MessageError: The shapes disagree, a pressure is not finite, or the times do not increase.
+        name: As in the paper or in the field, such as "k".
+        unit: SI unit; empty for a number.
+        range: Lowest and highest value; for the end of a phase, everything between the ends around it if not given.
+        mirrored: Whether its sign changes in the mirrored motion, that of the other hand.
     """
 
-    onset_utime: int
-    switch_utime: tuple[int, ...]
-    target_pressure: Array
+    name: Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")]
+    unit: str = ""
+    range: tuple[float, float] | None = None
+    mirrored: bool = False
 
-    def __post_init__(self) -> None:
-        pressure = np.array(self.target_pressure, dtype=np.float64)
-        pressure.flags.writeable = False
-        object.__setattr__(self, "target_pressure", pressure)
-        phases = len(self.switch_utime)
-        if phases == 0:
-            raise MessageError("commands have no phases; give at least one switch time")
-        if pressure.shape != (phases, NUM_VALVES):
-            raise MessageError(
-                f"target_pressure has shape {pressure.shape}; give one row of {NUM_VALVES} valves for each of the "
-                f"{phases} phases"
-            )
-        if not np.isfinite(pressure).all():
-            phase, valve = np.argwhere(~np.isfinite(pressure))[0]
-            raise MessageError(
-                f"target_pressure of valve {valve + 1} in phase {phase + 1} is {pressure[phase, valve]}; "
-                "give a finite gauge pressure [Pa]"
-            )
-        for earlier, later in pairwise((self.onset_utime, *self.switch_utime)):
-            if later <= earlier:
-                raise MessageError(
-                    f"switch_utime {later} does not come after {earlier}; give strictly increasing times [µs] after "
-                    f"onset_utime {self.onset_utime}"
-                )
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether onset, switch times and pressures are all equal."""
-        if not isinstance(other, Commands):
-            return NotImplemented
-        return (
-            self.onset_utime == other.onset_utime
-            and self.switch_utime == other.switch_utime
-            and np.array_equal(self.target_pressure, other.target_pressure)
-        )
-
-    __hash__ = None  # type: ignore[assignment]
-
-    @property
-    def end_utime(self) -> int:
-        """End of the last phase [µs]."""
-        return self.switch_utime[-1]
-
-    def target(self, utime: int) -> Array | None:
-        """Return the control target u in force at a time.
-
-        Args:
-            utime: Time [µs].
-
-        Returns:
-            Target gauge pressures [Pa], shape (8,), read-only; zeros (vented) from the end on; None before the onset,
-            where the valves hold a rest pressure that U does not know.
-        """
-        if utime < self.onset_utime:
-            return None
-        phase = bisect_right(self.switch_utime, utime)
-        return _VENTED if phase == len(self.switch_utime) else self.target_pressure[phase]
-
-    def matches_until(self, other: "Commands", utime: int) -> bool:
-        """Return whether both command the same before a time, so that one may replace the other then (Fig. 4e).
-
-        Args:
-            other: The commands to compare with.
-            utime: End of the executed part, itself excluded ("prior to time t_e", Sec. IV-B3) [µs]; give the earliest
-                time at which new commands can take effect.
-        """
-        changes = {self.onset_utime, other.onset_utime, *self.switch_utime, *other.switch_utime}
-        return all(_same_target(self.target(at), other.target(at)) for at in changes if at < utime)
-
-    def to_message(self, utime: int, command_sequence: int) -> valve_command_t:
-        """Return the message that carries these commands.
-
-        Args:
-            utime: Time of the mocap frame the commands answer [µs].
-            command_sequence: Number of the message.
-        """
-        message = valve_command_t()
-        message.utime = utime
-        message.command_sequence = command_sequence
-        message.onset_utime = self.onset_utime
-        message.num_phases = len(self.switch_utime)
-        message.switch_utime = list(self.switch_utime)
-        message.target_pressure = self.target_pressure.tolist()
-        return message
-
-    @classmethod
-    def from_message(cls, message: valve_command_t, max_pressure: float = SUPPLY_PRESSURE) -> Self:
-        """Read and check a message.
-
-        Args:
-            message: The message.
-            max_pressure: Highest gauge pressure a valve may be asked for [Pa].
-
-        Raises:
-            MessageError: A value cannot be used.
-        """
-        for name in ("switch_utime", "target_pressure"):
-            length = len(getattr(message, name))
-            if length != message.num_phases:
-                raise MessageError(f"{name} has {length} entries; num_phases promises {message.num_phases}")
-        for phase, row in enumerate(message.target_pressure, start=1):
-            if len(row) != NUM_VALVES:
-                raise MessageError(f"target_pressure of phase {phase} has {len(row)} values; give {NUM_VALVES}")
-        commands = cls(message.onset_utime, tuple(message.switch_utime), np.array(message.target_pressure, dtype=float))
-        pressure = commands.target_pressure
-        outside = (pressure < 0.0) | (pressure > max_pressure)
-        if outside.any():
-            index, valve = np.argwhere(outside)[0]
-            raise MessageError(
-                f"target_pressure of valve {valve + 1} in phase {index + 1} is {pressure[index, valve]:g} Pa; "
-                f"give 0 to {max_pressure:g} Pa"
-            )
-        return commands
-
-
-def _same_target(a: Array | None, b: Array | None) -> bool:
-    if a is None or b is None:
-        return a is b
-    return np.array_equal(a, b)
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        if self.range is not None and not self.range[0] < self.range[1]:
+            raise ValueError(f"range of {self.name} is {self.range}; give the lower bound first")
+        return self
 
 
 class MotionTemplate(Model):
-    """Everything of U that theta does not change; the defaults are Table II.
-
-    Attributes:
-        u_m: Centre of the changed control target (Eq. 1), gauge [Pa], shape (8,).
-        u_k: Change of the control target per unit of k (Eq. 1) [Pa], shape (8,).
-        changed_phase: c, the phase whose control target follows Eq. 1.
-        switch_phase: w, the phase that ends at t_w.
-        fixed_target: Control targets of the other phases than c in their order, gauge [Pa], shape (P - 1, 8).
-        fixed_switch_time: Ends of the other phases than w in their order, since the onset [s], shape (P - 1,).
-        k_range: Lowest and highest k [-] (Sec. VII-B).
-    """
-
-    u_m: _Pressures = (0.5e5, 2.5e5, 0.2e5, 0.5e5, 2.5e5, 0.2e5, 0.0, 0.5e5)
-    u_k: _PressureSteps = (0.0, 1.5e5, 0.0, 0.0, -1.5e5, 0.0, 0.0, 0.0)
-    changed_phase: int = Field(default=1, ge=1)
-    switch_phase: int = Field(default=2, ge=1)
-    fixed_target: tuple[_Pressures, ...] = (
-        (6.0e5, 4.0e5, 1.0e5, 6.0e5, 4.0e5, 1.0e5, 0.0, 0.5e5),
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0e5, 0.0),
-    )
-    fixed_switch_time: tuple[float, ...] = (0.10, 1.20)
-    k_range: tuple[float, float] = (-1.0, 1.0)
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        phases = self.num_phases
-        if len(self.fixed_switch_time) != phases - 1:
-            raise ValueError(
-                f"fixed_switch_time has {len(self.fixed_switch_time)} times; give {phases - 1}, one per fixed_target"
-            )
-        if self.changed_phase > phases:
-            raise ValueError(f"changed_phase is {self.changed_phase}; give 1 to {phases}")
-        if self.switch_phase >= phases:
-            raise ValueError(
-                f"switch_phase is {self.switch_phase}; give 1 to {phases - 1}: the last phase ends the motion"
-            )
-        _check_increasing((0.0, *self.fixed_switch_time), "fixed_switch_time")
-        if not self.k_range[0] < self.k_range[1]:
-            raise ValueError(f"k_range is {self.k_range}; give the lower bound first")
-        for k in self.k_range:
-            pressure = self._changed_target(k)
-            if not ((pressure >= 0.0) & (pressure <= SUPPLY_PRESSURE)).all():
-                raise ValueError(f"u_m + k u_k leaves 0 to {SUPPLY_PRESSURE:g} Pa at k = {k:g}; narrow k_range")
-        return self
+    """What makes U of theta; a subclass with settings of its own is a field of the robot's config."""
 
     @property
-    def num_phases(self) -> int:
-        """Number of phases P."""
-        return len(self.fixed_target) + 1
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The entries of theta, one to four."""
+        raise NotImplementedError
 
-    @property
-    def t_w_range(self) -> tuple[float, float]:
-        """Bounds of t_w since the onset [s], themselves excluded: the switch times before and after it."""
-        times = (0.0, *self.fixed_switch_time)
-        return times[self.switch_phase - 1], times[self.switch_phase]
-
-    def changed_phase_start(self, t_w: float) -> float:
-        """Return when phase c starts since the onset [s]: from then on an executed motion cannot change its k."""
-        if self.changed_phase == 1:
-            return 0.0
-        return self._switch_time(t_w)[self.changed_phase - 2]
-
-    def commands(self, theta: Theta, onset_utime: int) -> Commands:
-        """Create U from theta (Eqs. 1, 3).
+    def commands(self, theta: Sequence[float], onset_utime: int) -> Commands:
+        """Create U from theta.
 
         Args:
-            theta: Motion parameter.
+            theta: Motion parameter, one value per entry of `parameters`.
             onset_utime: Onset of the motion [µs].
 
         Raises:
-            ConfigError: k or t_w is out of range.
+            ConfigError: A value is out of range.
         """
-        k, t_w = theta
-        lowest, highest = self.k_range
-        if not lowest <= k <= highest:
-            raise ConfigError(f"k is {k:g}; give {lowest:g} to {highest:g}")
-        after, before = self.t_w_range
-        if not (np.isfinite(t_w) and to_microseconds(after) < to_microseconds(t_w) < to_microseconds(before)):
-            raise ConfigError(f"t_w is {t_w:g} s; give more than {after:g} s and less than {before:g} s")
-        target: list[Any] = list(self.fixed_target)
-        target.insert(self.changed_phase - 1, self._changed_target(k))
-        switch_utime = tuple(onset_utime + to_microseconds(time) for time in self._switch_time(t_w))
-        return Commands(onset_utime, switch_utime, np.array(target, dtype=np.float64))
+        raise NotImplementedError
 
-    def _changed_target(self, k: float) -> Array:
-        return np.array(self.u_m) + k * np.array(self.u_k)
+    def shows_from(self, theta: ArrayLike) -> Array:
+        """Return from when on each parameter shows in U, since the onset [s]: later it cannot be changed any more.
 
-    def _switch_time(self, t_w: float) -> tuple[float, ...]:
-        before, after = self.fixed_switch_time[: self.switch_phase - 1], self.fixed_switch_time[self.switch_phase - 1 :]
-        return (*before, t_w, *after)
+        Args:
+            theta: Motion parameters, shape (N, n).
+
+        Returns:
+            Times [s], shape (N, n).
+        """
+        raise NotImplementedError
+
+    def swing_start(self, theta: ArrayLike) -> Array:
+        """Return when the part of the motion begins in which an effector may meet the object, since the onset [s].
+
+        Samples, predictions and the times of a table are counted from here; t_w in the paper.
+
+        Args:
+            theta: Motion parameters, shape (N, n).
+
+        Returns:
+            Times [s], shape (N,).
+        """
+        raise NotImplementedError
+
+    def last_change(self, theta: Sequence[float]) -> float:
+        """Return until when since the onset some parameter can still be changed [s]."""
+        return float(self.shows_from([theta]).max())
+
+    def swing_of(self, theta: Sequence[float]) -> float:
+        """Return `swing_start` of one theta [s]."""
+        return float(self.swing_start([theta])[0])
+
+    @property
+    def mirror(self) -> Array | None:
+        """Sign of each parameter in the mirrored motion, shape (n,); None where there is no mirrored motion."""
+        mirrored = [parameter.mirrored for parameter in self.parameters]
+        return np.where(mirrored, -1.0, 1.0) if any(mirrored) else None
+
+    def rounded(self, theta: Sequence[float]) -> Theta:
+        """Return theta with its times rounded to the microseconds of the messages."""
+        return tuple(
+            round(value, 6) if parameter.unit == "s" else value
+            for parameter, value in zip(self.parameters, theta, strict=True)
+        )
+
+    def label(self, theta: Sequence[float]) -> str:
+        """Return theta for people, such as "k = 0.5, t_w = 0.3 s"."""
+        pairs = zip(self.parameters, theta, strict=True)
+        return ", ".join(f"{one.name} = {value:g} {one.unit}".rstrip() for one, value in pairs)
 
 
-def _check_increasing(times: Sequence[float], name: str) -> None:
-    for earlier, later in pairwise(times):
-        if not to_microseconds(earlier) < to_microseconds(later):
-            raise ValueError(f"{name} has {later:g} s after {earlier:g} s; give strictly increasing times above 0 s")
+class Phase(Model):
+    """One control target and until when it holds.
+
+    Attributes:
+        target: Of every channel, in its unit, shape (C,); u_m of Eq. 1 where a parameter changes it.
+        until: End of the phase since the onset [s]; None where a parameter is the end.
+    """
+
+    target: Annotated[tuple[float, ...], Field(min_length=1)]
+    until: float | None = None
+
+
+class PhaseParameter(Parameter):
+    """A parameter of a `PhasedMotion`: it changes a target, or ends a phase.
+
+    Attributes:
+        phase: Which phase, counted from 1: c of Eq. 1, or w of Eq. 3.
+        direction: Added to the target of the phase, times the value (u_k of Eq. 1), shape (C,); None for a parameter
+            that is the end of the phase.
+    """
+
+    phase: Annotated[int, Field(ge=1)]
+    direction: tuple[float, ...] | None = None
+
+
+class PhasedMotion(MotionTemplate):
+    """The switched control targets of the paper (Fig. 2b, Eqs. 1, 3): u_c = u_m + k u_k, and a free end t_w.
+
+    Attributes:
+        phases: In their order.
+        varied: What theta changes.
+        swing_phase: In which an effector may meet the object, counted from 1.
+        target_range: Lowest and highest target of any channel; any if not given.
+    """
+
+    phases: Annotated[tuple[Phase, ...], Field(min_length=1)]
+    varied: Annotated[tuple[PhaseParameter, ...], Field(min_length=1, max_length=4)]
+    swing_phase: Annotated[int, Field(ge=1)]
+    target_range: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        count, width = len(self.phases), len(self.phases[0].target)
+        names = [one.name for one in self.varied]
+        if len(set(names)) < len(names):
+            raise ValueError(f"varied names {', '.join(names)}; give each parameter a name of its own")
+        if self.swing_phase > count:
+            raise ValueError(f"swing_phase is {self.swing_phase}; give 1 to {count}")
+        for number, phase in enumerate(self.phases, start=1):
+            if len(phase.target) != width:
+                raise ValueError(f"phase {number} has {len(phase.target)} targets, the first one {width}")
+            ends = [one.name for one in self.varied if one.direction is None and one.phase == number]
+            if (phase.until is None) != (len(ends) == 1):
+                raise ValueError(
+                    f"phase {number} ends at {phase.until} and by {ends or 'no parameter'}; give it one end, `until` or "
+                    "a parameter without direction"
+                )
+        if self.phases[-1].until is None:
+            raise ValueError("the last phase ends the motion; give it an `until`")
+        for one in self.varied:
+            self._check_parameter(one, count, width)
+        fixed = [phase.until for phase in self.phases if phase.until is not None]
+        if any(
+            to_microseconds(late) <= to_microseconds(early) for early, late in zip((0.0, *fixed), fixed, strict=False)
+        ):
+            raise ValueError(f"the phases end at {fixed} s; give strictly increasing times above 0 s")
+        if self.target_range is not None:
+            self._check_targets(*self.target_range)
+        return self
+
+    def _check_parameter(self, one: PhaseParameter, count: int, width: int) -> None:
+        if one.phase > count:
+            raise ValueError(f"{one.name} changes phase {one.phase}; give 1 to {count}")
+        if one.direction is not None and len(one.direction) != width:
+            raise ValueError(f"direction of {one.name} has {len(one.direction)} values; give {width}, one per channel")
+        if one.direction is not None and one.range is None:
+            raise ValueError(f"{one.name} has no range; give its lowest and highest value")
+
+    def _check_targets(self, low: float, high: float) -> None:
+        for number, phase in enumerate(self.phases, start=1):
+            least, most = np.array(phase.target), np.array(phase.target)
+            for one in self.varied:
+                if one.phase == number and one.direction is not None and one.range is not None:
+                    ends = np.outer(one.range, one.direction)
+                    least, most = least + ends.min(axis=0), most + ends.max(axis=0)
+            if not (low <= least.min() and most.max() <= high):
+                raise ValueError(
+                    f"the targets of phase {number} reach {least.min():g} to {most.max():g}; narrow a range to keep "
+                    f"them within {low:g} to {high:g}"
+                )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The entries of theta."""
+        return self.varied
+
+    def commands(self, theta: Sequence[float], onset_utime: int) -> Commands:
+        """Create U from theta (Eqs. 1, 3).
+
+        Raises:
+            ConfigError: There are too few or too many values, or one is out of range.
+        """
+        if len(theta) != len(self.varied):
+            names = ", ".join(one.name for one in self.varied)
+            raise ConfigError(f"theta is {tuple(theta)}; give {len(self.varied)} values: {names}")
+        targets = np.array([phase.target for phase in self.phases])
+        for one, value in zip(self.varied, theta, strict=True):
+            self._check_value(one, value)
+            if one.direction is not None:
+                targets[one.phase - 1] += value * np.array(one.direction)
+        ends = self._ends(np.array([theta], dtype=np.float64))[0]
+        switch_utime = tuple(onset_utime + to_microseconds(time) for time in ends.tolist())
+        try:
+            return Commands(onset_utime, switch_utime, targets)
+        except MessageError as error:
+            raise ConfigError(f"{self.label(theta)} is no motion: {error}") from error
+
+    def shows_from(self, theta: ArrayLike) -> Array:
+        """Return from when on each parameter shows in U [s], shape (N, n)."""
+        ends = self._ends(np.asarray(theta, dtype=np.float64))
+        starts = np.column_stack((np.zeros(len(ends)), ends))
+        # A changed target shows from the start of its phase, a changed end from that end on.
+        return np.column_stack([(ends if one.direction is None else starts)[:, one.phase - 1] for one in self.varied])
+
+    def swing_start(self, theta: ArrayLike) -> Array:
+        """Return when `swing_phase` begins [s], shape (N,)."""
+        ends = self._ends(np.asarray(theta, dtype=np.float64))
+        return ends[:, self.swing_phase - 2] if self.swing_phase > 1 else np.zeros(len(ends))
+
+    def bounds(self, one: PhaseParameter) -> tuple[float, float]:
+        """Return the lowest and the highest value of a parameter; the ends around it, themselves excluded, if open."""
+        if one.range is not None:
+            return one.range
+        before = [phase.until for phase in self.phases[: one.phase - 1] if phase.until is not None]
+        after = [phase.until for phase in self.phases[one.phase :] if phase.until is not None]
+        return (before[-1] if before else 0.0), after[0]
+
+    def _check_value(self, one: PhaseParameter, value: float) -> None:
+        low, high = self.bounds(one)
+        unit = f" {one.unit}".rstrip()
+        if one.direction is None and one.range is None:
+            inside = np.isfinite(value) and to_microseconds(low) < to_microseconds(value) < to_microseconds(high)
+            if not inside:
+                raise ConfigError(
+                    f"{one.name} is {value:g}{unit}; give more than {low:g}{unit} and less than {high:g}{unit}"
+                )
+        elif not low <= value <= high:
+            raise ConfigError(f"{one.name} is {value:g}{unit}; give {low:g} to {high:g}{unit}")
+
+    def _ends(self, theta: Array) -> Array:
+        """Return the ends of all phases [s], shape (N, P)."""
+        ends = np.tile([np.nan if phase.until is None else phase.until for phase in self.phases], (len(theta), 1))
+        for column, one in enumerate(self.varied):
+            if one.direction is None:
+                ends[:, one.phase - 1] = theta[:, column]
+        return ends
+
+
+def motion_rows(template: MotionTemplate, theta: Array) -> Array:
+    """Return each theta, then from when on its parameters show in U [µs], as the compiled searches take it.
+
+    Args:
+        template: Of the motions.
+        theta: Shape (N, n).
+
+    Returns:
+        Shape (N, 2 n), C-contiguous.
+    """
+    return np.ascontiguousarray(np.column_stack((theta, np.rint(template.shows_from(theta) * 1e6))))

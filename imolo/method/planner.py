@@ -13,13 +13,14 @@ from pydantic import Field
 from imolo.ball.model import BallModel
 from imolo.ball.tracker import BallEstimate, BallTracker, BallTrackerConfig, made_up_flight
 from imolo.config.model import Model, NonNegative, Positive
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.errors import TableFileError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
+from imolo.method.commands import Commands, to_microseconds
 from imolo.method.hit_choice import HitChooser, HitConfig
 from imolo.method.hit_kernel import BallPath
-from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.table import Executed, LookupTable
 from imolo_msgs import mocap_frame_t, plan_t, trial_event_t
 
@@ -69,7 +70,7 @@ class Decision:
         target: Grid point the hand is to reach [m], shape (3,).
         hit_utime: When it is to be there [µs].
         probability: Of a hit [-]; -1 where the choice does not work it out.
-        side: 1 for the hand that was learned, -1 for the other one.
+        side: 1 for the effector that was learned, -1 for the mirrored one.
     """
 
     theta: Theta

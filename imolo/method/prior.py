@@ -31,7 +31,7 @@ def fit_forward_model(
     """
     prior = None if config.prior is None else load_prior(Path(config.prior), robot, template)
     training = training.thinned(MOST_SAMPLES)
-    return ForwardModel(config, prior).fit(training.theta, training.time, training.position)
+    return ForwardModel(config, template, prior).fit(training.theta, training.time, training.position)
 
 
 def load_prior(path: Path, robot: str, template: MotionTemplate) -> ForwardModel:
@@ -50,7 +50,7 @@ def load_prior(path: Path, robot: str, template: MotionTemplate) -> ForwardModel
         found, engine = header["robot"], header["origin"].get("backend", "?")
         if found != robot:
             raise TableFileError(f"the prior {path} is for robot {found!r}, not {robot!r}; give a table of {robot!r}")
-        if MotionTemplate.model_validate(header["template"]) != template:
+        if type(template).model_validate(header["template"]) != template:
             raise TableFileError(
                 f"the prior {path}, learned in {engine!r}, is of other motions (`motion` of the config); learn it again"
             )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +13,12 @@ from pydantic import Field, model_validator
 
 from imolo.config.model import Model
 from imolo.errors import ConfigError, ImoloError, TableFileError
+from imolo.method.commands import to_microseconds
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig, TrainingData
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.hit_choice import group_by_motion
 from imolo.method.hit_kernel import Swings
-from imolo.method.motion import MotionTemplate, Theta, to_microseconds
+from imolo.method.motion import MotionTemplate, PhasedMotion, Theta, motion_rows
 from imolo.method.prior import fit_forward_model
 from imolo.method.table_file import read_table_file, write_table_file
 from imolo.method.table_kernel import first_match
@@ -48,12 +49,11 @@ class GridAxis(Model):
 
 
 class TableGrid(Model):
-    """What is predicted and how finely it is stored; the defaults are those of Sec. VII-B.
+    """What is predicted and how finely it is stored; spacing and tolerance are those of Sec. VII-B.
 
     Attributes:
-        t_w: Second parameter of the predicted motions [s].
-        k: First parameter of the predicted motions [-]; 0.0133 does not divide 2, so the last value is 0.995.
-        time_since_swing: t - t_w of the predicted positions [s].
+        parameters: Predicted values of each parameter of the motion, by its name; all combinations are predicted.
+        time_since_swing: Times since the start of the swing of the predicted positions [s]; t - t_w in the paper.
         spacing: d_grid, interval of the grid points [m]; they lie at its multiples along the world axes.
         time_tolerance: Δt [s].
         unique: How many predictions of one grid point are stored (Sec. IV-B2): "voxel", one of them at random as in
@@ -62,18 +62,39 @@ class TableGrid(Model):
             leaves out 48 % of space; "cell", all that are nearest to it.
     """
 
-    t_w: GridAxis = GridAxis(start=0.21, stop=0.41, step=0.002)
-    k: GridAxis = GridAxis(start=-1.0, stop=1.0, step=0.0133)
-    time_since_swing: GridAxis = GridAxis(start=0.14, stop=0.21, step=0.002)
+    parameters: Annotated[dict[str, GridAxis], Field(min_length=1, max_length=4)]
+    time_since_swing: GridAxis
     spacing: float = Field(default=0.010, gt=0.0)
     time_tolerance: float = Field(default=0.0083, gt=0.0)
     unique: Literal["voxel", "voxel_time", "all"] = "voxel"
     match: Literal["sphere", "cell"] = "sphere"
 
-    def predictions(self) -> tuple[Array, Array]:
-        """Return theta (N, 2): k [-], t_w [s], and time since the onset [s] (N,) of all that is predicted."""
-        t_w, k, since = np.meshgrid(self.t_w.values(), self.k.values(), self.time_since_swing.values(), indexing="ij")
-        return np.column_stack((k.ravel(), t_w.ravel())), np.round(t_w + since, 9).ravel()
+    def predictions(self, template: MotionTemplate) -> tuple[Array, Array]:
+        """Return theta (N, n) and time since the onset [s] (N,) of all that is predicted.
+
+        Raises:
+            ConfigError: The grid is not over the parameters of the motion.
+        """
+        self.check(template)
+        axes = [axis.values() for axis in self.parameters.values()]
+        *columns, since = (part.ravel() for part in np.meshgrid(*axes, self.time_since_swing.values(), indexing="ij"))
+        named = dict(zip(self.parameters, columns, strict=True))
+        theta = np.column_stack([named[parameter.name] for parameter in template.parameters])
+        return theta, np.round(template.swing_start(theta) + since, 9)
+
+    def check(self, template: MotionTemplate) -> None:
+        """Raise `ConfigError` unless the grid is over the parameters of the motion."""
+        names = [parameter.name for parameter in template.parameters]
+        if set(names) != set(self.parameters):
+            raise ConfigError(
+                f"the grid is over {', '.join(self.parameters)}, the motion has {', '.join(names)}; give each an axis"
+            )
+
+    def bounds(self, template: MotionTemplate) -> tuple[Array, Array]:
+        """Return the lowest and the highest theta of the grid, each of shape (n,)."""
+        self.check(template)
+        axes = [self.parameters[parameter.name] for parameter in template.parameters]
+        return np.array([axis.start for axis in axes]), np.array([axis.stop for axis in axes])
 
 
 class Executed(NamedTuple):
@@ -119,7 +140,7 @@ class LookupTable:
         training: What it was fitted to.
         position: Grid points in the world frame [m], shape (M, 3), read-only like the next two.
         time: Time since the onset [s], shape (M,).
-        theta: Motion parameters, shape (M, 2): k [-], t_w [s].
+        theta: Motion parameters, shape (M, n), n being the number of `template.parameters`.
         hand_std: Standard deviation of the hand about its prediction along each world axis [m], one row per distinct
             theta in ascending order, shape (T, 3).
     """
@@ -154,7 +175,7 @@ class LookupTable:
         self.hand_std = hand_std
         self._spacing, self._time_tolerance = grid.spacing, grid.time_tolerance
         self._reach = 0.5 * grid.spacing if grid.match == "sphere" else math.inf
-        self._tuples = np.column_stack((self.time, self.theta[:, 0], np.rint(self.theta[:, 1] * 1e6)))
+        self._motions = motion_rows(template, self.theta)
         for array in (self._cell, self.time, self.theta, self.position, self.hand_std):
             array.flags.writeable = False
         self.query((0.0, 0.0, 0.0), 0.0)  # compiles the search now rather than in the middle of a throw
@@ -166,8 +187,7 @@ class LookupTable:
         grid: TableGrid,
         rng: np.random.Generator,
         *,
-        template: MotionTemplate | None = None,
-        robot: str = "liberobot",
+        robot: str,
         origin: Mapping[str, Any] | None = None,
     ) -> Self:
         """Predict all positions of the grid and keep the unique tuples (Sec. IV-B).
@@ -176,7 +196,6 @@ class LookupTable:
             model: Fitted forward model.
             grid: What to predict and to keep.
             rng: Chooses among predictions of the same grid point.
-            template: What theta changes; Table II if not given.
             robot: Name of the robot.
             origin: JSON-able description of what made the training data.
 
@@ -184,10 +203,10 @@ class LookupTable:
             NotTrainedError: The model has not been fitted.
             ConfigError: A theta of the grid is not allowed, or the predictions need too many cells.
         """
-        template = template or MotionTemplate()
-        theta, time = grid.predictions()
+        template = model.template
+        theta, time = grid.predictions(template)
         for extreme in (theta.min(axis=0), theta.max(axis=0)):
-            template.commands(Theta(*extreme.tolist()), onset_utime=0)
+            template.commands(extreme.tolist(), onset_utime=0)
         cell = _nearest_grid_point(model.predict(theta, time), grid.spacing)
         kept = _choose(cell, time, grid.unique, rng)
         return cls(
@@ -259,34 +278,32 @@ class LookupTable:
         return self.time[self._cell_start[flat] : self._cell_start[flat + 1]]
 
     def _search(self, path: Array, when: Array, executed: Executed | None) -> TableHit | None:
-        executed_k, executed_switch, elapsed = math.nan, math.nan, -1.0
+        row_executed, elapsed = self._motions[0], -1.0
         if executed is not None:
-            (k, t_w), elapsed_time = executed
-            executed_switch, elapsed = round(t_w * 1e6), round(elapsed_time * 1e6)
-            if elapsed > to_microseconds(self.template.changed_phase_start(t_w)):
-                executed_k = k
+            row_executed = motion_rows(self.template, np.array([executed.theta]))[0]
+            elapsed = float(to_microseconds(executed.elapsed))
         point, row = first_match(
             path,
             when,
             self._cell_start,
             self._box,
-            self._tuples,
+            self.time,
+            self._motions,
             self._spacing,
             self._reach,
             self._time_tolerance,
-            executed_k,
-            float(executed_switch),
-            float(elapsed),
+            row_executed,
+            elapsed,
         )
         if row < 0:
             return None
-        return TableHit(Theta(*self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
+        return TableHit(tuple(self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
 
     @cached_property
     def swings(self) -> Swings:
         """The tuples by motion, for the choice of the hit by probability; worked out when first asked for."""
         position: Array = self.position.astype(np.float64)
-        return group_by_motion(self.theta, self.time, position, self.hand_std, self.grid.spacing)
+        return group_by_motion(self.template, self.theta, self.time, position, self.hand_std, self.grid.spacing)
 
     def refit(self) -> ForwardModel:
         """Return the forward model, fitted again to the stored training data.
@@ -316,12 +333,13 @@ class LookupTable:
         write_table_file(path, header, arrays)
 
     @classmethod
-    def load(cls, path: Path, robot: str | None = None) -> Self:
+    def load(cls, path: Path, robot: str | None = None, motion: type[MotionTemplate] = PhasedMotion) -> Self:
         """Read a table.
 
         Args:
             path: File that `save` wrote.
             robot: The robot it must be for; any if not given.
+            motion: Kind of its motion template.
 
         Raises:
             TableFileError: The file is damaged, foreign, of a newer version or for another robot.
@@ -338,7 +356,7 @@ class LookupTable:
                 arrays["theta"],
                 arrays["hand_std"],
                 grid=TableGrid.model_validate(header["grid"]),
-                template=MotionTemplate.model_validate(header["template"]),
+                template=motion.model_validate(header["template"]),
                 forward_model=ForwardModelConfig.model_validate(header["forward_model"]),
                 training=TrainingData(*(arrays[f"training_{name}"] for name in ("theta", "time", "position"))),
                 robot=header["robot"],

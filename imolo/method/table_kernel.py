@@ -1,30 +1,26 @@
 """Compiled search of the lookup table."""
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 
-@njit(cache=True)
-def keeps_executed_part(
-    k: float, switch_us: float, executed_k: float, executed_switch_us: float, elapsed_us: float
-) -> bool:
+@njit(cache=True, inline="always")
+def keeps_executed_part(motion: NDArray[np.float64], executed: NDArray[np.float64], elapsed_us: float) -> bool:
     """Return whether new commands equal the executed ones so far (Fig. 4e); says the same as `Commands.matches_until`.
 
-    Two U part where one has ended phase w and the other has not, and where phase c begins with another k.
+    Two U part where the first of their parameters that differ shows in either of them.
 
     Args:
-        k: New k [-].
-        switch_us: New t_w [µs].
-        executed_k: Executed k [-], NaN while phase c has not begun.
-        executed_switch_us: Executed t_w [µs].
+        motion: New theta, then from when on each of its parameters shows in U [µs], shape (2 n,).
+        executed: The same of the executed motion.
         elapsed_us: Executed time since the onset [µs], negative before it.
     """
-    if switch_us != executed_switch_us and elapsed_us > min(switch_us, executed_switch_us):
-        return False
-    return math.isnan(executed_k) or k == executed_k
+    count = len(executed) // 2
+    for i in range(count):
+        if motion[i] != executed[i] and elapsed_us > min(motion[count + i], executed[count + i]):
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -33,12 +29,12 @@ def first_match(
     times: NDArray[np.float64],
     cell_start: NDArray[np.int64],
     box: NDArray[np.int64],
-    tuples: NDArray[np.float64],
+    tuple_time: NDArray[np.float64],
+    motions: NDArray[np.float64],
     spacing: float,
     reach: float,
     time_tolerance: float,
-    executed_k: float,
-    executed_switch_us: float,
+    executed: NDArray[np.float64],
     elapsed_us: float,
 ) -> tuple[int, int]:
     """Find the first point of a path that a motion reaches in time (Sec. IV-A).
@@ -48,12 +44,12 @@ def first_match(
         times: Time of each since the onset [s], shape (N,).
         cell_start: First tuple of each cell of the box, rows of z, shape (cells + 1,).
         box: Lowest grid index of the box along x, y, z, then its number of cells along each, shape (6,).
-        tuples: t [s], k [-], t_w [µs] sorted by cell, shape (M, 3).
+        tuple_time: t of the tuples [s], sorted by cell, shape (M,).
+        motions: Their theta, then from when on each parameter shows in U [µs], shape (M, 2 n).
         spacing: d_grid [m].
         reach: Distance to the nearest grid point that still counts as there, itself excluded [m].
         time_tolerance: Δt [s].
-        executed_k: As in `keeps_executed_part`.
-        executed_switch_us: As in `keeps_executed_part`.
+        executed: As in `keeps_executed_part`; any before the onset.
         elapsed_us: As in `keeps_executed_part`.
 
     Returns:
@@ -76,10 +72,8 @@ def first_match(
         best = -1
         best_distance = 0.5 * time_tolerance
         for candidate in range(cell_start[cell], cell_start[cell + 1]):
-            distance = abs(tuples[candidate, 0] - times[point])
-            if distance < best_distance and keeps_executed_part(
-                tuples[candidate, 1], tuples[candidate, 2], executed_k, executed_switch_us, elapsed_us
-            ):
+            distance = abs(tuple_time[candidate] - times[point])
+            if distance < best_distance and keeps_executed_part(motions[candidate], executed, elapsed_us):
                 best = candidate
                 best_distance = distance
         if best >= 0:

@@ -12,9 +12,9 @@ from imolo.campaigns.campaign import log_name
 from imolo.campaigns.comparison import Comparison, Timings
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
-from imolo.config.reading import explain
-from imolo.contracts.backend import Trial, TrialKind
-from imolo.errors import ResultsError
+from imolo.config.loading import validated_config
+from imolo.contracts.trial import Trial, TrialKind
+from imolo.errors import ConfigError, ResultsError
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult
 
 AGAIN = "run `imolo compare` again, or restore the file"
@@ -145,11 +145,11 @@ def _read_configs(path: Path) -> tuple[dict[str, ExperimentConfig], dict[str, st
     for file in sorted((path / "configs").glob("*.yaml")):
         texts[file.stem] = read_text(file)
         try:
-            configs[file.stem] = ExperimentConfig.model_validate(yaml.safe_load(texts[file.stem]))
+            configs[file.stem] = validated_config(yaml.safe_load(texts[file.stem]), f"{file} is damaged")
         except yaml.YAMLError as error:
             raise ResultsError(f"{file} is damaged: {' '.join(str(error).split())}; {AGAIN}") from error
-        except ValidationError as error:
-            raise ResultsError(f"{explain(error, ExperimentConfig, f'{file} is damaged')}; {AGAIN}") from error
+        except ConfigError as error:
+            raise ResultsError(f"{error}; {AGAIN}") from error
     return configs, texts
 
 

@@ -14,8 +14,10 @@ from markupsafe import Markup
 
 from imolo import __version__
 from imolo.campaigns.figures import COLORS
-from imolo.campaigns.summary import PAPER, millimetres
-from imolo.contracts.registry import describe_robot
+from imolo.campaigns.summary import millimetres
+from imolo.config.loading import body_of, known_body, task_plugin
+from imolo.contracts.registry import ROBOTS
+from imolo.contracts.robot import Published
 from imolo.errors import ResultsError
 from imolo.messaging import channels
 from imolo.messaging.log import read_log
@@ -34,7 +36,7 @@ CAPTIONS = {
     "waterfall": "What each swap explains of the disagreement.",
     "ball": "Error and calibration against the lead time.",
 }
-OUTCOMES = {"hit": "hit", "missed": "miss", "no motion found": "none"}  # classes of the stylesheet
+FAILURES = {"missed": "miss", "no motion found": "none"}  # classes of the stylesheet; a success is "hit"
 
 Progress = Callable[[str, int, int], None]
 
@@ -149,6 +151,8 @@ def _figure(path: Path) -> dict[str, Any]:
 
 
 def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
+    config = next(iter(campaign.configs.values()))
+    task = task_plugin(config)
     methods = list(dict.fromkeys(method for by_method in campaign.results.values() for method in by_method))
     return {
         "campaign": campaign,
@@ -156,9 +160,13 @@ def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
         "methods": methods,
         "horizons": [f"{horizon:.2f}" for horizon in HORIZONS],
         "millimetres": millimetres,
-        "paper": _paper(),
+        "published": [_published(one) for one in ROBOTS.load(config.robot.name).published],
+        "task": task,
+        "robot": ROBOTS.load(config.robot.name).summary,
+        "parameters": [parameter.name for parameter in config.motion.parameters],
+        "compared_at": f"{config.training.comparison_time:g}",
         "trials": [_row(trial, out) for trial in campaign.trials],
-        "outcomes": OUTCOMES,
+        "outcomes": (task.success, *FAILURES),
         "commands": _commands(campaign, folder),
         "balls": max((r.balls for by_method in campaign.results.values() for r in by_method.values()), default=0),
     }
@@ -168,18 +176,18 @@ def _colors(campaign: Campaign) -> dict[str, str]:
     return {backend: COLORS[number % len(COLORS)] for number, backend in enumerate(campaign.results)}
 
 
-def _paper() -> dict[str, Any]:
-    """Return the paper's robot as a row of the summary (Sec. VII-C)."""
-    backend, method, hits, _, hand, *ball = PAPER
-    done, balls = (int(part) for part in hits.split("/"))
+def _published(one: Published) -> dict[str, Any]:
+    """Return what is known of the robot itself as a row of the summary."""
+    done, balls = (int(part) for part in one.successes.split("/"))
     return {
-        "backend": backend,
-        "method": method,
+        "backend": "robot",
+        "method": one.method,
         "hits": done,
         "balls": balls,
         "interval": wilson_interval(done, balls),
-        "hand": hand,
-        "ball": ball[: len(HORIZONS)],
+        "hand": one.hand_error,
+        "ball": [one.ball_errors.get(f"{horizon:.2f}", "–") for horizon in HORIZONS],
+        "source": one.source,
     }
 
 
@@ -189,7 +197,7 @@ def _row(trial: ReportedTrial, out: Path) -> dict[str, Any]:
         "backend": trial.backend,
         "method": trial.method,
         "result": trial.result,
-        "outcome": OUTCOMES.get(trial.result.outcome, "none"),
+        "outcome": "hit" if trial.result.hit else FAILURES.get(trial.result.outcome, "none"),
         "log": _link(trial.log_path, out) if trial.log_path.exists() else None,
     }
 
@@ -235,15 +243,15 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
                     "outcome": trial.result.outcome,
                     "path": _relative(trial.log_path, out),
                     "voxel": config.methods[trial.method].grid.spacing,
-                    **trial_tracks(log, config.robot),
+                    **trial_tracks(log, body_of(config.robot)),
                 }
             )
             robots.update(event.robot for event in log.messages[channels.TRIAL] if event.robot)
     progress("logs", len(campaign.trials), len(campaign.trials))
     radius = next(iter(campaign.configs.values())).simulation.ball.radius
-    description = describe_robot(sorted(robots)[0]) if robots else None
+    body = known_body(sorted(robots)[0]) if robots else None
     return {
-        "robot": None if description is None else robot_shapes(description),
+        "robot": None if body is None else robot_shapes(body),
         "radius": radius,
         "colors": _colors(campaign),
         "trials": trials,

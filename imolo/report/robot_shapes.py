@@ -6,20 +6,20 @@ from xml.etree import ElementTree
 
 from scipy.spatial.transform import Rotation
 
-from imolo.contracts.backend import RobotDescription
+from imolo.contracts.robot import Body
 from imolo.errors import ResultsError
 
 DEFAULT_COLOR = (0.7, 0.7, 0.7, 1.0)
 MOVING = ("revolute", "continuous", "prismatic")
 
 
-def robot_shapes(description: RobotDescription) -> dict[str, Any]:
+def robot_shapes(body: Body) -> dict[str, Any]:
     """Return what the page needs to draw a robot at any pose.
 
     Boxes, cylinders (along z) and spheres are drawn; meshes are left out, since the page holds no files.
 
     Returns:
-        `links`, parents before children, each with its parent's number (-1: the trunk), its joint (`at` [m], `turn` as
+        `links`, parents before children, each with its parent's number (-1: the world), its joint (`at` [m], `turn` as
         quaternion w, x, y, z, `axis`, `angle`: which of TRUTH_ROBOT's angles moves it, -1 none, whether it `slides`)
         and its `shapes` (kind, size [m], place, color); and the fixed `boxes` around the robot.
 
@@ -27,11 +27,9 @@ def robot_shapes(description: RobotDescription) -> dict[str, Any]:
         ResultsError: The URDF cannot be read.
     """
     try:
-        robot = ElementTree.parse(description.urdf).getroot()
+        robot = ElementTree.parse(body.urdf).getroot()
     except (OSError, ElementTree.ParseError) as error:
-        raise ResultsError(
-            f"cannot read the robot's URDF {description.urdf}: {error}; reinstall the backend"
-        ) from error
+        raise ResultsError(f"cannot read the robot's URDF {body.urdf}: {error}; reinstall the backend") from error
     materials = {
         material.get("name"): _numbers(color.get("rgba"))
         for material in robot.findall("material")
@@ -47,10 +45,10 @@ def robot_shapes(description: RobotDescription) -> dict[str, Any]:
         for joint in joints:
             if _end(joint, "parent") == parent:
                 child = _end(joint, "child")
-                placed.append({**_joint(joint, description.joint_names, order.index(parent)), "shapes": links[child]})
+                placed.append({**_joint(joint, body.joint_names, order.index(parent)), "shapes": links[child]})
                 order.append(child)
-    boxes = [{"at": list(position), "size": list(size)} for position, size in description.boxes]
-    return {"name": description.name, "links": placed, "boxes": boxes}
+    boxes = [{"at": list(box.center), "size": [2.0 * half for half in box.half_extents]} for box in body.boxes]
+    return {"name": body.name, "links": placed, "boxes": boxes}
 
 
 def _end(joint: ElementTree.Element, tag: str) -> str | None:

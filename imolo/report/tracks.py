@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imolo.config.experiment import RobotConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.robot import Body
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.trials.recordings import last_plan, marker_track
@@ -24,7 +24,7 @@ STEPS = 32767  # on each side of zero: int16
 SLACK = 1e-4  # [s] messages are stamped on a grid of 1 ms, so a step may be that much short of the rate's
 
 
-def trial_tracks(log: Log, robot: RobotConfig) -> Packed:
+def trial_tracks(log: Log, body: Body) -> Packed:
     """Return the motion in a log.
 
     Robot and ball come from the simulation's truth. Where there is none, as from a real robot, the markers and the
@@ -32,7 +32,7 @@ def trial_tracks(log: Log, robot: RobotConfig) -> Packed:
 
     Args:
         log: Of one trial.
-        robot: Whose hand is which marker.
+        body: Of the robot, for the markers of its effectors.
 
     Returns:
         `duration` [s], `events` and, where the log has them, `robot`, `hand`, `ball`, `markers` and `plans`; numbers
@@ -54,7 +54,7 @@ def trial_tracks(log: Log, robot: RobotConfig) -> Packed:
         tracks["hand"] = {"time": pack(_times(truth)), "position": pack(hands)}
     elif log.messages[channels.MOCAP]:
         tracks["markers"] = _markers(log)
-        seen, hand = marker_track(log, robot.hand_marker if side == 1 else robot.other_hand_marker)
+        seen, hand = marker_track(log, body.effector_marker(0 if side == 1 else 1))
         if len(seen):
             tracks["hand"] = {"time": pack(seen), "position": pack(hand)}
     ball = _ball(log)

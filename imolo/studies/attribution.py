@@ -3,8 +3,8 @@
 The yardstick is the mean distance of the hands of two backends under the same commands (`Comparison.disagreement`).
 First every swap is made alone; then, from the two as they are, the swap that brings the hands closest is made and kept,
 then the next one, until none is left that helps: a waterfall from the disagreement to what no swap explains. Where no
-single swap helps, two at once may, since softness here can hide softness there. What both backends share, time step and
-sole, comes last, because it changes the question.
+single swap helps, two at once may, since softness here can hide softness there. What both backends share, the time step
+and what the robot declares, comes last, because it changes the question.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,24 +17,21 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
+from imolo.campaigns.motion_recorder import NO_CHANCE
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
-from imolo.contracts.registry import load_backend
+from imolo.config.loading import backend_options, backend_plugin, merged
+from imolo.contracts.registry import ROBOTS
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import ConfigError, TrainingDataError
 from imolo.messaging.log import read_log
 from imolo.trials.metrics import Statistic
-from imolo.trials.recordings import AGREEMENT_TIME, hand_in_swing
+from imolo.trials.recordings import hand_in_swing
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 LEAST_GAIN = 1e-3  # [m] a swap that brings the hands less than this closer is no explanation
-NO_CHANCE: dict[str, Any] = {
-    "disturbance": {"profile": "none"},
-    "mocap": {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 0.0, "unlabelled": 0.0},
-}
-
 Settings = Mapping[str, Any]
 
 
@@ -97,16 +94,16 @@ class Attribution(BaseModel):
 
 @dataclass(frozen=True)
 class _Change:
-    """A swap and what it does to the two configs: settings of their `backend` and `simulation` sections."""
+    """A swap and what it does to the two configs: settings of their `backend` sections, and of both configs."""
 
     swap: Swap
     backend: tuple[Settings, Settings]
-    simulation: Settings
+    shared: Settings
 
     @property
     def options(self) -> frozenset[tuple[str, str]]:
         """What is set, by side and key; two swaps that share one cannot both be made."""
-        return frozenset((self.swap.side, key) for part in (*self.backend, self.simulation) for key in part)
+        return frozenset((self.swap.side, key) for part in (*self.backend, self.shared) for key in part)
 
     def with_another(self, other: "_Change") -> "_Change":
         """Return both swaps as one."""
@@ -116,7 +113,7 @@ class _Change:
             change=f"{self.swap.change}, {other.swap.change}",
         )
         first, second = ({**mine, **theirs} for mine, theirs in zip(self.backend, other.backend, strict=True))
-        return _Change(swap, (first, second), {**self.simulation, **other.simulation})
+        return _Change(swap, (first, second), merged(self.shared, other.shared))
 
 
 BOTH = "both"
@@ -146,7 +143,8 @@ def attribute(
         raise ConfigError(f"both configs are of backend {names[0]!r}; give two different ones")
     folder.prepare()
     bench = _Bench(folder, jobs, progress)
-    pair = (_changed(configs[0], {}, NO_CHANCE), _changed(configs[1], {}, NO_CHANCE))
+    quiet = {"simulation": NO_CHANCE}
+    pair = (_changed(configs[0], {}, quiet), _changed(configs[1], {}, quiet))
     changes = _changes(pair)
     start, *alone = bench.try_all("one swap at a time", pair, [_NO_CHANGE, *changes])
     attribution = Attribution(
@@ -198,45 +196,53 @@ def _pairs(changes: Sequence[_Change]) -> list[_Change]:
 
 
 def _changes(pair: tuple[ExperimentConfig, ExperimentConfig]) -> list[_Change]:
-    """Return all swaps: those of the simulated plant on both sides, and each backend's own."""
-    simulation = pair[0].simulation
-    finer = simulation.timestep / 2.0
-    other_sole = "flat" if simulation.sole == "semicircular" else "semicircular"
-    changes = [
-        _Change(Swap(ingredient="time step", side=BOTH, change=f"timestep: {finer:g}"), ({}, {}), {"timestep": finer}),
-        _Change(Swap(ingredient="sole shape", side=BOTH, change=f"sole: {other_sole}"), ({}, {}), {"sole": other_sole}),
-    ]
+    """Return all swaps: the time step and what the robot declares on both sides, and each backend's own."""
+    finer = pair[0].simulation.timestep / 2.0
+    step = Swap(ingredient="time step", side=BOTH, change=f"timestep: {finer:g}")
+    changes = [_Change(step, ({}, {}), {"simulation": {"timestep": finer}})]
+    for ingredient, alternatives in ROBOTS.load(pair[0].robot.name).ingredients.items():
+        for shared in alternatives:
+            if merged(pair[0].model_dump(), shared) != pair[0].model_dump():
+                swap = Swap(ingredient=ingredient, side=BOTH, change=_written(shared))
+                changes.append(_Change(swap, ({}, {}), shared))
     for side, config in enumerate(pair):
-        options = config.backend_options().model_dump()
-        for ingredient, alternatives in load_backend(config.backend.name).ingredients.items():
+        options = backend_options(config).model_dump()
+        for ingredient, alternatives in backend_plugin(config).ingredients.items():
             for settings in alternatives:
                 if all(options[key] == value for key, value in settings.items()):
                     continue
-                written = ", ".join(f"{key}: {_plain(value)}" for key, value in settings.items())
-                swap = Swap(ingredient=ingredient, side=config.backend.name, change=written)
+                swap = Swap(ingredient=ingredient, side=config.backend.name, change=_written(settings))
                 backend: tuple[Settings, Settings] = (settings, {}) if side == 0 else ({}, settings)
                 changes.append(_Change(swap, backend, {}))
     return changes
+
+
+def _written(settings: Settings) -> str:
+    """Return settings as a config would have them, the innermost keys alone."""
+    return ", ".join(
+        _written(value) if isinstance(value, Mapping) else f"{key}: {_plain(value)}" for key, value in settings.items()
+    )
 
 
 def _plain(value: object) -> str:
     return f"{list(value)}" if isinstance(value, tuple) else str(value)
 
 
-def _changed(config: ExperimentConfig, backend: Settings, simulation: Settings) -> ExperimentConfig:
-    if not backend and not simulation:
+def _changed(config: ExperimentConfig, backend: Settings, shared: Settings) -> ExperimentConfig:
+    if not backend and not shared:
         return config
     content = config.model_dump()
     content["backend"].update(backend)
-    content["simulation"].update(simulation)
-    return ExperimentConfig.model_validate(content)
+    # A disturbance is replaced: the values of one profile are not those of another.
+    content["simulation"].update(shared.get("simulation", {}))
+    return type(config).model_validate(merged(content, {k: v for k, v in shared.items() if k != "simulation"}))
 
 
 def _apply(
     pair: tuple[ExperimentConfig, ExperimentConfig], change: _Change
 ) -> tuple[ExperimentConfig, ExperimentConfig]:
     first, second = (
-        _changed(config, backend, change.simulation) for config, backend in zip(pair, change.backend, strict=True)
+        _changed(config, backend, change.shared) for config, backend in zip(pair, change.backend, strict=True)
     )
     return first, second
 
@@ -295,9 +301,9 @@ class _Bench:
 
 
 def _hand(task: TrialTask) -> Array:
-    hand = hand_in_swing(read_log(task.log_path), task.config.robot.hand_marker)
+    hand = hand_in_swing(read_log(task.log_path), task.config)
     if hand is None:
-        raise TrainingDataError(f"{task.log_path} does not show the hand {AGREEMENT_TIME} s after t_w")
+        raise TrainingDataError(f"{task.log_path} does not show the effector in the swing")
     return hand
 
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from imolo.ball.evaluation import PROTOCOLS, Evaluation, Rating
 from imolo.campaigns.figures import COLORS
 from imolo.campaigns.figures import STYLE as FIGURE_STYLE
-from imolo.campaigns.summary import STYLE
+from imolo.campaigns.summary import TABLE_STYLE
 
 MODEL_COLORS = {"linear": COLORS[1], "drag": COLORS[0], "spin": COLORS[2]}
 MODEL_NAMES = {"linear": "linear (paper)", "drag": "drag", "spin": "drag and lift"}
@@ -38,7 +38,7 @@ def _table(evaluation: Evaluation, protocol: str) -> Table:
     table = Table(
         title=f"{what[protocol]}; leave-one-out, {len(evaluation.flights)} flights",
         caption="NEES over its dimension is 1 for a right covariance, and 95 % lie inside the 95 % ellipsoid.",
-        **STYLE,
+        **TABLE_STYLE,
     )
     table.add_column("model", no_wrap=True)
     for title in ("lead s", "mean mm", "sd", "p95", "NEES/3", "inside", "n"):

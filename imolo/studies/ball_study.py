@@ -10,7 +10,7 @@ from imolo.ball.model import KINDS, BallModelConfig, Kind
 from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import ConfigError, TrainingDataError, did_you_mean
 from imolo.messaging.log import read_log
 from imolo.trials.recordings import ball_flight

@@ -48,7 +48,7 @@ def ball(
 
     Writes ball.json and ball.png to the results folder.
     """
-    from imolo.config.experiment import load_config
+    from imolo.config.loading import load_config
     from imolo.studies import ball_report, ball_study
 
     if (config is None) == (data is None):
@@ -163,7 +163,8 @@ def attribute(
     first: Annotated[str, typer.Argument(help="A backend by name, or a YAML that configures it.")],
     second: Annotated[str, typer.Argument(help="The other one.")],
     motions: Annotated[
-        int | None, typer.Option(min=1, help="Only the first motions of Table III [default: all].", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Only the first motions of the training [default: all].", show_default=False),
     ] = None,
     out: Out = Path("results/attribute"),
     jobs: Jobs = CORES,
@@ -172,10 +173,10 @@ def attribute(
 ) -> None:
     """Say why two backends bring the hand to different places under the same commands.
 
-    Swaps one ingredient at a time: time step, sole, friction cone, stiffness of contacts and joint limits, and whatever
+    Swaps one ingredient at a time: time step, friction cone, stiffness of contacts and joint limits, and whatever
     else the backends declare. Writes logs, attribution.json and a waterfall.
     """
-    from imolo.campaigns import figures, summary
+    from imolo.studies import attribution_report
     from imolo.studies.attribution import attribute as attribute_disagreement
 
     configs = (
@@ -185,19 +186,18 @@ def attribute(
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
-    console.print(summary.render_attribution(answer))
-    path = folder.save_figure("waterfall.png", figures.draw_waterfall(answer))
+    console.print(attribution_report.render_attribution(answer))
+    path = folder.save_figure("waterfall.png", attribution_report.draw_waterfall(answer))
     say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 
 def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":
-    from imolo.config.experiment import BackendConfig, ExperimentConfig, load_config
+    from imolo.config.loading import config_for, load_config
 
     if text.endswith((".yaml", ".yml")):
         config = load_config(Path(text))
     else:
-        config = ExperimentConfig(backend=BackendConfig(name=text))
-        config.backend_options()
+        config = config_for(text)
     if motions is None:
         return config
     training = config.training.model_copy(update={"motions": config.training.motions[:motions]})

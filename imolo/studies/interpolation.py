@@ -17,7 +17,7 @@ from scipy.stats import ttest_rel
 
 from imolo.campaigns.motion_recorder import Recording, Window
 from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig
-from imolo.method.motion import Theta
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.table import TableGrid
 from imolo.trials.metrics import Statistic
 
@@ -167,18 +167,19 @@ class Interpolation(BaseModel):
         return next(one.error for one in self.models if (one.trials, one.model) == (trials, model))
 
 
-def draw_theta(grid: TableGrid, count: int, rng: np.random.Generator) -> list[Theta]:
-    """Draw motions, uniform over the grid's range, to whole microseconds of t_w."""
-    k = rng.uniform(grid.k.start, grid.k.stop, count)
-    t_w = np.round(rng.uniform(grid.t_w.start, grid.t_w.stop, count), 6)
-    return [Theta(float(a), float(b)) for a, b in zip(k, t_w, strict=True)]
+def draw_theta(motion: MotionTemplate, grid: TableGrid, count: int, rng: np.random.Generator) -> list[Theta]:
+    """Draw motions, uniform over the grid's range, to whole microseconds of times."""
+    columns = [rng.uniform(low, high, count) for low, high in zip(*grid.bounds(motion), strict=True)]
+    return [motion.rounded(theta) for theta in np.column_stack(columns).tolist()]
 
 
-def draw_problem(pool: Sequence[Recording], window: Window, trials: int, repetition: int, seed: int) -> Problem:
+def draw_problem(
+    pool: Sequence[Recording], motion: MotionTemplate, window: Window, trials: int, repetition: int, seed: int
+) -> Problem:
     """Draw the query and the training trials of one repetition; all are different motions of the pool."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, trials, repetition]))
     query, *training = rng.choice(len(pool), trials + 1, replace=False).tolist()
-    time = pool[query].theta.t_w + float(rng.uniform(window.start, window.stop))
+    time = motion.swing_of(pool[query].theta) + float(rng.uniform(window.start, window.stop))
     return Problem(trials, repetition, pool[query].hand(time), time, tuple(training))
 
 
@@ -188,7 +189,7 @@ def nearest_tuple(theta: Array, times: Array, positions: Array, problem: Problem
     Where there is none, the choice is among the tuples nearest to t_q.
 
     Args:
-        theta: Motion parameters, shape (N, 2).
+        theta: Motion parameters, shape (N, n).
         times: Since the onset [s], shape (N,).
         positions: [m], shape (N, 3).
         problem: The query.
@@ -201,23 +202,25 @@ def nearest_tuple(theta: Array, times: Array, positions: Array, problem: Problem
         near = apart <= apart.min() + 1e-9
     distance = np.where(near, np.linalg.norm(positions - problem.position, axis=1), np.inf)
     best = int(distance.argmin())
-    return Choice(Theta(*theta[best].tolist()), float(distance[best]), in_time)
+    return Choice(tuple(theta[best].tolist()), float(distance[best]), in_time)
 
 
-def answer(problem: Problem, pool: Sequence[Recording], window: Window, grid: TableGrid) -> Answer:
+def answer(
+    problem: Problem, pool: Sequence[Recording], motion: MotionTemplate, window: Window, grid: TableGrid
+) -> Answer:
     """Build the tables of one repetition and ask them.
 
     Of the predicted tuples only those near t_q are computed, which are the only ones that can be chosen.
     """
-    data = window.samples([pool[index] for index in problem.training])
+    data = window.samples([pool[index] for index in problem.training], motion)
     tolerance = grid.time_tolerance
-    theta, time = _predictions_near(problem.time, grid)
+    theta, time = _predictions_near(problem.time, motion, grid)
     left = [recording for index, recording in enumerate(pool) if index not in problem.training]
-    held_out = window.samples(left)
+    held_out = window.samples(left, motion)
     choices = {WITHOUT: nearest_tuple(data.theta, data.time, data.position, problem, tolerance)}
     errors = {}
     for name, config in RATED.items():
-        model = ForwardModel(config).fit(data.theta, data.time, data.position)
+        model = ForwardModel(config, motion).fit(data.theta, data.time, data.position)
         off = model.predict(held_out.theta, held_out.time) - held_out.position
         errors[name] = float(np.linalg.norm(off, axis=1).mean())
         if name in MODELS:
@@ -275,14 +278,11 @@ def _paired(bar: Bar, without: Bar) -> PairedTest:
     )
 
 
-def _predictions_near(time: float, grid: TableGrid) -> tuple[Array, Array]:
+def _predictions_near(time: float, motion: MotionTemplate, grid: TableGrid) -> tuple[Array, Array]:
     """Return those tuples of the grid that are within half a time step of a time, or the nearest if none is."""
-    t_w, since = np.meshgrid(grid.t_w.values(), grid.time_since_swing.values(), indexing="ij")
-    apart = np.abs(np.round(t_w + since, 9) - time)
+    theta, predicted = grid.predictions(motion)
+    apart = np.abs(predicted - time)
     near = apart < 0.5 * grid.time_tolerance
     if not near.any():
         near = apart <= apart.min() + 1e-9
-    k = grid.k.values()
-    swing = np.column_stack((t_w[near], (np.round(t_w + since, 9))[near]))
-    theta = np.column_stack((np.tile(k, len(swing)), np.repeat(swing[:, 0], len(k))))
-    return theta, np.repeat(swing[:, 1], len(k))
+    return theta[near], predicted[near]

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from imolo.campaigns.figures import COLORS
 from imolo.campaigns.figures import STYLE as FIGURE_STYLE
-from imolo.campaigns.summary import STYLE, millimetres
+from imolo.campaigns.summary import TABLE_STYLE, millimetres
 from imolo.errors import ConfigError
 from imolo.studies.interpolation import LOOSE, MODELS, RATED, STANDARDIZED, VARIANTS, WITHOUT, Interpolation
 from imolo.studies.interpolation_study import InterpolationStudy
@@ -86,7 +86,7 @@ def _verdict(p: float | None, sign: float) -> str:
 
 
 def _bars(study: InterpolationStudy) -> Table:
-    table = Table(title=f"{BARS_TITLE}; {study.repetitions} repetitions", caption=BARS_NOTE, **STYLE)
+    table = Table(title=f"{BARS_TITLE}; {study.repetitions} repetitions", caption=BARS_NOTE, **TABLE_STYLE)
     table.add_column(BARS_COLUMNS[0], no_wrap=True, min_width=8)
     for title in BARS_COLUMNS[1:]:
         table.add_column(title, justify="right", no_wrap=title[0] == "p")
@@ -111,7 +111,7 @@ def bar_rows(study: InterpolationStudy) -> list[tuple[str, ...]]:
 
 
 def _models(study: InterpolationStudy) -> Table:
-    table = Table(title=MODELS_TITLE, **STYLE)
+    table = Table(title=MODELS_TITLE, **TABLE_STYLE)
     table.add_column(MODELS_COLUMNS[0], no_wrap=True, min_width=8)
     for title in MODELS_COLUMNS[1:]:
         table.add_column(title, justify="right")

@@ -13,7 +13,7 @@ from imolo.campaigns.motion_recorder import Recording, Window, record_motions, w
 from imolo.campaigns.results import ResultsFolder, installed_versions
 from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
-from imolo.method.motion import Theta
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.regressors import quiet_fits
 from imolo.method.table import TableGrid
 from imolo.studies.interpolation import (
@@ -28,8 +28,6 @@ from imolo.studies.interpolation import (
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], object]
-
-GRID = TableGrid()  # Sec. VII-B; the paper names none for Sec. VI
 
 
 class InterpolationStudy(BaseModel):
@@ -122,14 +120,16 @@ def _study_one(
         label = f"{name}: motions, {kind}"
         return record_motions(config, list(until.items()), logs, jobs, lambda *count: progress(label, *count))
 
-    motions = draw_theta(GRID, pool_size, np.random.default_rng(np.random.SeedSequence([seed, pool_size])))
-    pool = record("pool", {theta: theta.t_w + window.stop for theta in motions})
-    problems = [draw_problem(pool, window, n, r, seed) for n in trials for r in range(repetitions)]
+    # That of Sec. VII-B; the paper names none for Sec. VI.
+    motion, grid = config.motion, next(iter(config.methods.values())).grid
+    motions = draw_theta(motion, grid, pool_size, np.random.default_rng(np.random.SeedSequence([seed, pool_size])))
+    pool = record("pool", {theta: motion.swing_of(theta) + window.stop for theta in motions})
+    problems = [draw_problem(pool, motion, window, n, r, seed) for n in trials for r in range(repetitions)]
     label = f"{name}: tables"
     progress(label, 0, len(problems))
     answers: dict[int, Answer] = {}
     found = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        delayed(_answer)(number, problem, pool, window) for number, problem in enumerate(problems)
+        delayed(_answer)(number, problem, pool, motion, window, grid) for number, problem in enumerate(problems)
     )
     for number, one in found:
         answers[number] = one
@@ -147,8 +147,15 @@ def _study_one(
     return judge(problems, ordered, lambda theta, time: recorded[theta].hand(time))
 
 
-def _answer(number: int, problem: Problem, pool: Sequence[Recording], window: Window) -> tuple[int, Answer]:
+def _answer(
+    number: int,
+    problem: Problem,
+    pool: Sequence[Recording],
+    motion: MotionTemplate,
+    window: Window,
+    grid: TableGrid,
+) -> tuple[int, Answer]:
     leave_interrupts_to_the_parent()
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1), quiet_fits():
-        return number, answer(problem, pool, window, GRID)
+        return number, answer(problem, pool, motion, window, grid)

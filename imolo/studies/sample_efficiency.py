@@ -19,14 +19,13 @@ from imolo.campaigns.campaign import leave_interrupts_to_the_parent
 from imolo.campaigns.comparison import Progress
 from imolo.campaigns.motion_recorder import Recording, Window, record_motions, without_chance
 from imolo.campaigns.results import ResultsFolder, installed_versions
-from imolo.config.experiment import METHODS, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
 from imolo.method.active import least_certain
-from imolo.method.forward_model import PAPER_SVR, ForwardModel
-from imolo.method.motion import Theta
+from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel
+from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.prior import MOST_SAMPLES
 from imolo.method.regressors import quiet_fits
-from imolo.method.table import TableGrid
 from imolo.studies.interpolation import draw_theta
 from imolo.trials.learning import spread_motions
 from imolo.trials.metrics import Statistic
@@ -34,10 +33,9 @@ from imolo.trials.metrics import Statistic
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
 
-MODEL = METHODS["improved"].forward_model
+MODEL = GPR.model_copy(update={"kernel": "matern", "time": "since_swing"})
 PAPER, PLAIN, ACTIVE = "paper's SVR", "GPR", "GPR, active"
-GRID = TableGrid()
-START = 5  # trials before the first active choice: the corners and one inside, of Table III
+START = 5  # trials before the first active choice: the corners and one inside
 REPEATED, REPEATS = 6, 8  # motions, and how often each is executed to see how well the backend repeats itself
 UNDISTURBED, CONFIGURED = "undisturbed", "as configured"
 
@@ -163,7 +161,8 @@ def choose_motions(config: ExperimentConfig, most: int, sizes: Sizes) -> Motions
         sizes: How many of the others.
     """
     rng = np.random.default_rng(np.random.SeedSequence([config.seed, 7]))
-    drawn = draw_theta(GRID, most + sizes.candidates + sizes.tests, rng)
+    grid = next(iter(config.methods.values())).grid
+    drawn = draw_theta(config.motion, grid, most + sizes.candidates + sizes.tests, rng)
     return Motions(
         dense=spread_motions(config, sizes.dense),
         trials=(*config.training.motions, *drawn[:most])[:most],
@@ -217,9 +216,10 @@ def study(
         else:
             told, executed = named, motions
         records = {name: _record(config, executed, setting, folder, jobs, progress) for name, config in told.items()}
-        points += _fit_all(records, setting, trials, window, jobs, progress)
+        points += _fit_all(records, configs[0].motion, setting, trials, window, jobs, progress)
     floors = tuple(
-        Floor(backend=name, error=repeatability(record.repeated, window)) for name, record in records.items()
+        Floor(backend=name, error=repeatability(record.repeated, configs[0].motion, window))
+        for name, record in records.items()
     )
     result = SampleEfficiency(
         seed=configs[0].seed,
@@ -264,21 +264,21 @@ def active_trials(
         if len(done) in searched:
             fitted = fit(model, done, window)
         else:
-            data = window.samples(done)
+            data = window.samples(done, model.template)
             fitted = fitted.refitted(data.theta, data.time, data.position)
 
 
 def fit(model: ForwardModel, recordings: Sequence[Recording], window: Window) -> ForwardModel:
     """Return a model like this one, fitted to the samples of recordings."""
-    data = window.samples(recordings).thinned(MOST_SAMPLES)
-    return ForwardModel(model.config, model.prior).fit(data.theta, data.time, data.position)
+    data = window.samples(recordings, model.template).thinned(MOST_SAMPLES)
+    return ForwardModel(model.config, model.template, model.prior).fit(data.theta, data.time, data.position)
 
 
-def repeatability(recordings: Sequence[Recording], window: Window) -> Statistic:
+def repeatability(recordings: Sequence[Recording], motion: MotionTemplate, window: Window) -> Statistic:
     """Return how far the hand is from its mean over the executions of the same motion, in the middle of the window."""
     motions: dict[Theta, list[Array]] = {}
     for recording in recordings:
-        middle = recording.theta.t_w + 0.5 * (window.start + window.stop)
+        middle = motion.swing_of(recording.theta) + 0.5 * (window.start + window.stop)
         motions.setdefault(recording.theta, []).append(recording.hand(middle))
     distances = []
     for hands in motions.values():
@@ -292,7 +292,7 @@ def rate(model: ForwardModel, tests: Sequence[Recording], window: Window) -> tup
     """Return the error of a model on recordings, and its squared error over the predicted variance; see `Point`."""
     distances, squares = [], []
     for recording in tests:
-        data = window.samples([recording])
+        data = window.samples([recording], model.template)
         off = model.predict(data.theta, data.time) - data.position
         distances.append(float(np.linalg.norm(off, axis=1).mean()))
         if model.knows_std:
@@ -314,7 +314,11 @@ def _record(
     recordings = iter(
         record_motions(
             config,
-            [(theta, theta.t_w + config.training.sampled_to) for group in groups for theta in group],
+            [
+                (theta, config.motion.swing_of(theta) + config.training.sampled_to)
+                for group in groups
+                for theta in group
+            ],
             folder.path / "logs" / name / f"trials_{setting.replace(' ', '_')}",
             jobs,
             lambda done, total: progress(f"{name}: motions, {setting}", done, total),
@@ -325,6 +329,7 @@ def _record(
 
 def _fit_all(
     records: Mapping[str, Motions[Recording]],
+    motion: MotionTemplate,
     setting: str,
     trials: Sequence[int],
     window: Window,
@@ -334,10 +339,11 @@ def _fit_all(
     label = f"models, {setting}"
     plan = [(name, prior) for name in records for prior in (None, *records) if prior != name]
     progress(label, 0, len(plan))
-    priors = Parallel(n_jobs=jobs)(delayed(_fit_prior)(record.dense, window) for record in records.values())
+    priors = Parallel(n_jobs=jobs)(delayed(_fit_prior)(record.dense, motion, window) for record in records.values())
     known: dict[str | None, ForwardModel | None] = {None: None, **dict(zip(records, priors, strict=True))}
     curves = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)(
-        delayed(_curves)(name, setting, prior, known[prior], records[name], trials, window) for name, prior in plan
+        delayed(_curves)(name, motion, setting, prior, known[prior], records[name], trials, window)
+        for name, prior in plan
     )
     points: list[Point] = []
     for number, curve in enumerate(curves, start=1):
@@ -346,14 +352,15 @@ def _fit_all(
     return points
 
 
-def _fit_prior(dense: Sequence[Recording], window: Window) -> ForwardModel:
+def _fit_prior(dense: Sequence[Recording], motion: MotionTemplate, window: Window) -> ForwardModel:
     leave_interrupts_to_the_parent()
     with threadpool_limits(limits=1), quiet_fits():
-        return fit(ForwardModel(MODEL), dense, window)
+        return fit(ForwardModel(MODEL, motion), dense, window)
 
 
 def _curves(
     name: str,
+    motion: MotionTemplate,
     setting: str,
     prior: str | None,
     prior_model: ForwardModel | None,
@@ -373,10 +380,10 @@ def _curves(
 
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1), quiet_fits():
-        model = ForwardModel(MODEL, prior_model)
+        model = ForwardModel(MODEL, motion, prior_model)
         listed = {PLAIN if prior is None else upon(prior): model}
         if prior_model is None:
-            listed[PAPER] = ForwardModel(PAPER_SVR)
+            listed[PAPER] = ForwardModel(PAPER_SVR, motion)
         else:
             tell(upon(prior or ""), 0, prior_model)
         for label, unfitted in listed.items():

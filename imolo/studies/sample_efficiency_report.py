@@ -9,7 +9,7 @@ from rich.table import Table
 
 from imolo.campaigns.figures import COLORS
 from imolo.campaigns.figures import STYLE as FIGURE_STYLE
-from imolo.campaigns.summary import STYLE
+from imolo.campaigns.summary import TABLE_STYLE
 from imolo.studies.sample_efficiency import (
     ACTIVE,
     CONFIGURED,
@@ -59,7 +59,7 @@ def _table(study: SampleEfficiency, setting: str) -> Table:
         f"{setting}",
         caption=f"0: the prior as it is. Floor: hand to its mean over repetitions. The paper: "
         f"{1e3 * PAPER_HAND_ERROR:.1f} mm with 15 trials.",
-        **STYLE,
+        **TABLE_STYLE,
     )
     for name in ("backend", "model"):
         table.add_column(name, no_wrap=True)

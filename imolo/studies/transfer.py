@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from imolo.campaigns.comparison import Progress, hit, learn
 from imolo.campaigns.results import ResultsFolder, installed_versions
-from imolo.config.experiment import METHODS, ExperimentConfig, MethodConfig
+from imolo.config.experiment import ExperimentConfig, MethodConfig
 from imolo.errors import ConfigError
 from imolo.trials.learning import spread_motions
 from imolo.trials.metrics import MethodResult, Statistic
@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 
 DENSE = "dense"
 ALONE = "alone"
-METHOD = METHODS["improved"]
 ANOTHER_DAY = 1000  # added to the seed of the dense session, so that the trials do not meet its chance again
 
 
@@ -87,7 +86,8 @@ def transfer(
     """Play all tables on all backends and write transfer.json.
 
     Args:
-        configs: One per backend; their training motions are the trials on the backend that plays. The methods are ours.
+        configs: One per backend; their training motions are the trials on the backend that plays, their last method is
+            the one that plays.
         motions: Number of motions of a dense table.
         folder: Where to write configs, logs, tables and numbers; the dense session goes to its folder "dense".
         jobs: Number of processes.
@@ -112,9 +112,9 @@ def transfer(
         config.backend.name: _with_methods(
             config,
             {
-                ALONE: METHOD,
+                ALONE: config.last_method,
                 **{
-                    corrected_name(name): _with_prior(str(path))
+                    corrected_name(name): _with_prior(config.last_method, str(path))
                     for name, path in priors.items()
                     if name != config.backend.name
                 },
@@ -124,7 +124,9 @@ def transfer(
     }
     learn(list(trained.values()), folder, jobs, progress)
     players = {
-        name: _with_methods(config, {**config.methods, **{transferred_name(prior): METHOD for prior in names}})
+        name: _with_methods(
+            config, {**config.methods, **{transferred_name(prior): config.methods[ALONE] for prior in names}}
+        )
         for name, config in trained.items()
     }
     for config in players.values():
@@ -165,15 +167,15 @@ def corrected_name(learned_in: str) -> str:
 def _dense(config: ExperimentConfig, motions: int) -> ExperimentConfig:
     other_day = config.model_copy(update={"seed": config.seed + ANOTHER_DAY})
     training = config.training.model_copy(update={"motions": spread_motions(other_day, motions)})
-    return _with_methods(other_day.model_copy(update={"training": training}), {DENSE: METHOD})
+    return _with_methods(other_day.model_copy(update={"training": training}), {DENSE: config.last_method})
 
 
 def _with_methods(config: ExperimentConfig, methods: dict[str, MethodConfig]) -> ExperimentConfig:
     return config.model_copy(update={"methods": methods})
 
 
-def _with_prior(path: str) -> MethodConfig:
-    return METHOD.model_copy(update={"forward_model": METHOD.forward_model.model_copy(update={"prior": path})})
+def _with_prior(method: MethodConfig, path: str) -> MethodConfig:
+    return method.model_copy(update={"forward_model": method.forward_model.model_copy(update={"prior": path})})
 
 
 def _cell(learned_in: str | None, played_in: str, *, corrected: bool, result: MethodResult) -> Cell:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from imolo.campaigns.figures import STYLE as FIGURE_STYLE
-from imolo.campaigns.summary import STYLE, millimetres
+from imolo.campaigns.summary import TABLE_STYLE, millimetres
 from imolo.studies.transfer import Cell, Transfer
 
 PAPER_HAND_ERROR = 0.0129  # [m] Sec. VII-C
@@ -48,7 +48,7 @@ def render_transfer(result: Transfer) -> Table:
     table = Table(
         title="Tables of one backend, balls in another: hits (Wilson 95 %), hand and grid point mean±sd",
         caption="The paper's robot: 16/20 (58-92 %), 12.9±9.4 mm (Sec. VII-C).",
-        **STYLE,
+        **TABLE_STYLE,
     )
     table.add_column("learned in", no_wrap=True)
     for name in players(result):

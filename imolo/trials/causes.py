@@ -9,7 +9,7 @@ A miss has one cause, the first of these that holds:
 * no table entry: any other ball without a motion.
 * late start, with a motion: it began more than Δt/2, the table's tolerance in time, after the onset it was planned for.
 * hand error: at the planned time of the hit the hand was at least as far from the selected grid point as the ball.
-* update impossible: the ball was farther, and at the last frame that could still change t_w, its predicted path already
+* update impossible: the ball was farther, and at the last frame that could still change theta, its path already
   missed the selected grid point by more than half the width of plate and ball, and no tuple that shares the executed
   part led elsewhere.
 * prediction error: the ball was farther, but the planner learned of it when nothing could be changed any more.
@@ -21,16 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imolo.config.experiment import ExperimentConfig, MethodConfig
-from imolo.contracts.backend import EventName
+from imolo.config.loading import body_of
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.log import Log
+from imolo.method.motion import MotionTemplate
 from imolo.method.table import LookupTable
 from imolo.trials.recordings import LINK_TIME, last_plan, nearest_unlabelled
 from imolo_msgs import plan_t
 
 Array = NDArray[np.float64]
 
-PLATE_HALF_WIDTH = 0.040  # [m] Sec. V-A: the plate is 300 x 80 mm, the hand's marker in its middle
 NO_BALL = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
 
@@ -65,16 +66,16 @@ def find_cause(
     """
     plan = last_plan(log)
     if plan is None:
-        return _cause_of_no_motion(log, method, table)
+        return _cause_of_no_motion(log, config, method, table)
     if _start_delay(log, plan) > 0.5 * method.grid.time_tolerance:
         return Cause.LATE
+    touching = 0.5 * body_of(config.robot).effectors[0].width + config.simulation.ball.radius
     if ball_error is None:
-        touching = PLATE_HALF_WIDTH + config.simulation.ball.radius
         return Cause.HAND if hand_error is not None and hand_error > touching else Cause.UNSEEN
     if hand_error is not None and hand_error >= ball_error:
         return Cause.HAND
-    known = _known_miss(log, method)
-    if known is not None and known > PLATE_HALF_WIDTH + config.simulation.ball.radius:
+    known = _known_miss(log, method, config.motion)
+    if known is not None and known > touching:
         return Cause.UPDATE
     return Cause.PREDICTION
 
@@ -128,7 +129,7 @@ def _end(log: Log) -> int | None:
     return next((event.utime for event in log.messages[channels.TRIAL] if event.event in ends), None)
 
 
-def _cause_of_no_motion(log: Log, method: MethodConfig, table: LookupTable | None) -> Cause:
+def _cause_of_no_motion(log: Log, config: ExperimentConfig, method: MethodConfig, table: LookupTable | None) -> Cause:
     predicted = [plan for plan in log.messages[channels.PLAN] if plan.num_predictions]
     if not predicted:
         return Cause.UNSEEN
@@ -143,7 +144,8 @@ def _cause_of_no_motion(log: Log, method: MethodConfig, table: LookupTable | Non
     ended = _end(log)
     end = predicted[-1].utime if ended is None else ended
     left = (end - asked[0].utime) * 1e-6 - method.planner.lead_time
-    shortest = method.grid.t_w.start + method.grid.time_since_swing.start
+    lowest, _ = method.grid.bounds(config.motion)
+    shortest = config.motion.swing_of(lowest.tolist()) + method.grid.time_since_swing.start
     return Cause.LATE if shortest - left > tolerance else Cause.NO_ENTRY
 
 
@@ -163,8 +165,8 @@ def _start_delay(log: Log, plan: plan_t) -> float:
     return float(onset - plan.plan_onset_utime) * 1e-6
 
 
-def _known_miss(log: Log, method: MethodConfig) -> float | None:
-    """Return by how much the predicted path missed the selected grid point when t_w could last be changed [m]."""
+def _known_miss(log: Log, method: MethodConfig, motion: MotionTemplate) -> float | None:
+    """Return by how much the predicted path missed the selected grid point when theta could last be changed [m]."""
     if not method.planner.update:
         return None
     lead = method.planner.lead_time * 1e6
@@ -173,7 +175,7 @@ def _known_miss(log: Log, method: MethodConfig) -> float | None:
         for plan in log.messages[channels.PLAN]
         if plan.plan_onset_utime > 0
         and plan.num_predictions
-        and plan.utime + lead < plan.plan_onset_utime + plan.theta[1] * 1e6
+        and plan.utime + lead < plan.plan_onset_utime + motion.last_change(plan.theta) * 1e6
     ]
     if not changeable:
         return None

@@ -1,6 +1,7 @@
 """Learn from the logs of the learning trials: how balls fly, how the robot moves, and the table."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +25,13 @@ def spread_motions(config: ExperimentConfig, count: int) -> tuple[Theta, ...]:
         config: Of the experiment, for the grids of its methods and its seed.
         count: Number of motions.
     """
-    grids = [method.grid for method in config.methods.values()]
-    low = np.array([min(grid.k.start for grid in grids), min(grid.t_w.start for grid in grids)])
-    high = np.array([max(grid.k.stop for grid in grids), max(grid.t_w.stop for grid in grids)])
-    corners = np.array([(a, b) for b in (0.0, 1.0) for a in (0.0, 1.0)])
-    inside = qmc.Halton(2, rng=np.random.default_rng(config.seed)).random(max(count - len(corners), 0))
+    bounds = np.array([method.grid.bounds(config.motion) for method in config.methods.values()])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    # The first parameter changes fastest.
+    corners = np.array(list(product((0.0, 1.0), repeat=len(low))))[:, ::-1]
+    inside = qmc.Halton(len(low), rng=np.random.default_rng(config.seed)).random(max(count - len(corners), 0))
     share = np.concatenate((corners, inside))[:count]
-    return tuple(Theta(float(k), round(float(t_w), 6)) for k, t_w in low + share * (high - low))
+    return tuple(config.motion.rounded(theta) for theta in (low + share * (high - low)).tolist())
 
 
 def learn_ball(method: MethodConfig, logs: Sequence[Path]) -> BallModel:
@@ -48,7 +49,7 @@ def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingDat
     Raises:
         TrainingDataError: There are no trials, or one of them does not show the hand.
     """
-    return merge([hand_samples(read_log(path), config.robot, config.training) for path in logs])
+    return merge([hand_samples(read_log(path), config) for path in logs])
 
 
 def build_table(
@@ -67,7 +68,6 @@ def build_table(
         model,
         method.grid,
         np.random.default_rng(config.seed),
-        template=config.motion,
         robot=config.robot.name,
         origin={
             "backend": config.backend.name,

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from imolo.config.experiment import ExperimentConfig, MethodConfig, RobotConfig
-from imolo.contracts.backend import EventName
+from imolo.config.experiment import ExperimentConfig, MethodConfig
+from imolo.config.loading import body_of, create_task, task_plugin
+from imolo.contracts.task import Verdict
 from imolo.errors import BusError
 from imolo.messaging import channels
 from imolo.messaging.log import Log
@@ -27,9 +28,9 @@ class TrialResult(BaseModel):
 
     Attributes:
         trial: Index of the trial.
-        hit: Whether an arm of the moving robot touched the ball before it landed.
-        outcome: "hit", "missed" or "no motion found".
-        theta: k [-] and t_w [s] of the last plan; None without a motion.
+        hit: Whether the task was done.
+        outcome: "hit" (or what the task calls it), "missed" or "no motion found".
+        theta: Of the last plan; None without a motion.
         updates: How often the commands were updated after the onset.
         hand_error: Distance between the selected grid point and the hand when it was to be there [m]; None without a
             motion or if the hand was not seen.
@@ -38,6 +39,7 @@ class TrialResult(BaseModel):
         ball_error: Distance between the selected grid point and the ball when the hand was to be there [m]; None
             without a motion or if the ball was not seen.
         thrown_from: Which of the thrower's positions it came from, counted from 0; None if the ball was not seen.
+        measures: What the task measures beside it, by name with the unit in brackets.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -45,13 +47,14 @@ class TrialResult(BaseModel):
     trial: int
     hit: bool
     outcome: str
-    theta: tuple[float, float] | None
+    theta: tuple[float, ...] | None
     updates: int
     hand_error: float | None
     prediction_error: dict[str, float]
     cause: str | None = None
     ball_error: float | None = None
     thrown_from: int | None = None
+    measures: dict[str, float] = {}
 
 
 class Statistic(BaseModel):
@@ -101,7 +104,8 @@ class MethodResult(BaseModel):
         hand_error: Of all trials with a motion [m].
         prediction_error: By lead time [m].
         trials: Ball by ball.
-        causes: How many balls were missed for each of `causes.Cause`, zeros included.
+        causes: How many balls were missed for each of `causes.Cause`, zeros included, and for causes of the task's own.
+        measures: What the task measures beside it, by name with the unit in brackets.
         positions: The hits by position of the thrower.
     """
 
@@ -115,6 +119,7 @@ class MethodResult(BaseModel):
     prediction_error: dict[str, Statistic]
     trials: tuple[TrialResult, ...]
     causes: dict[str, int] = {}
+    measures: dict[str, Statistic] = {}
     positions: tuple[PositionResult, ...] = ()
 
 
@@ -126,7 +131,7 @@ def judge_trial(
     Args:
         log: Of the trial.
         config: Of the experiment.
-        method: That planned; the paper's if not given.
+        method: That planned; the first one of the config if not given.
         table: That it planned with, to tell a late start from a missing entry; see `causes`.
 
     Raises:
@@ -136,28 +141,29 @@ def judge_trial(
     if not events:
         raise BusError(f"{log.path} holds no trial event; was it recorded by imolo?")
     plan = last_plan(log)
-    # A ball that flies against the resting robot was not hit by it.
-    hit = plan is not None and any(
-        event.event == EventName.HIT and event.utime >= plan.plan_onset_utime for event in events
-    )
-    outcome = "hit" if hit else "missed" if plan is not None else "no motion found"
+    task = create_task(config)
+    verdict = Verdict(False) if plan is None else task.judge(log, plan.plan_onset_utime)
+    outcome = "no motion found" if plan is None else task_plugin(config).success if verdict.success else "missed"
     updates = sum(message.state == plan_t.UPDATED for message in log.messages[channels.PLAN])
-    end_names = (EventName.HIT, EventName.BALL_LANDED)
-    end = next((event.utime for event in events if event.event in end_names), None)
-    hand_error = None if plan is None else _hand_error(log, plan, config.robot)
+    end = next((event.utime for event in events if task.ends(event)), None)
+    hand_error = None if plan is None else _hand_error(log, plan, config)
     ball_error = None if plan is None else distance_of_ball(log, plan)
-    cause = None if hit else find_cause(log, config, method or MethodConfig(), table, hand_error, ball_error)
+    cause = None
+    if not verdict.success:
+        method = method or next(iter(config.methods.values()))
+        cause = verdict.cause or find_cause(log, config, method, table, hand_error, ball_error)
     return TrialResult(
         trial=events[0].trial,
-        hit=hit,
+        hit=verdict.success,
         outcome=outcome,
-        theta=None if plan is None else (plan.theta[0], plan.theta[1]),
+        theta=None if plan is None else tuple(plan.theta),
         updates=updates,
         hand_error=hand_error,
         prediction_error={} if end is None else _prediction_errors(log, end),
         cause=cause,
         ball_error=ball_error,
         thrown_from=throw_position(log, config),
+        measures=dict(verdict.measures),
     )
 
 
@@ -175,9 +181,21 @@ def judge_campaign(trials: Sequence[TrialResult]) -> MethodResult:
             key: Statistic.of([t.prediction_error[key] for t in trials if key in t.prediction_error]) for key in keys
         },
         trials=tuple(trials),
-        causes={cause.value: sum(trial.cause == cause for trial in trials) for cause in Cause},
+        causes=_count_causes(trials),
+        measures={
+            name: Statistic.of([trial.measures[name] for trial in trials if name in trial.measures])
+            for name in sorted({name for trial in trials for name in trial.measures})
+        },
         positions=_by_position(trials),
     )
+
+
+def _count_causes(trials: Sequence[TrialResult]) -> dict[str, int]:
+    counts = dict.fromkeys((cause.value for cause in Cause), 0)
+    for trial in trials:
+        if trial.cause is not None:
+            counts[trial.cause] = counts.get(trial.cause, 0) + 1
+    return counts
 
 
 def wilson_interval(successes: int, total: int, z: float = 1.959963984540054) -> tuple[float, float]:
@@ -205,8 +223,8 @@ def _by_position(trials: Sequence[TrialResult]) -> tuple[PositionResult, ...]:
     )
 
 
-def _hand_error(log: Log, plan: plan_t, robot: RobotConfig) -> float | None:
-    marker = robot.other_hand_marker if plan.hitting_hand < 0 else robot.hand_marker
+def _hand_error(log: Log, plan: plan_t, config: ExperimentConfig) -> float | None:
+    marker = body_of(config.robot).effector_marker(1 if plan.hitting_hand < 0 else 0)
     hand = hand_at(log, marker, plan.hit_utime * 1e-6)
     return None if hand is None else float(np.linalg.norm(hand - np.array(plan.target_position)))
 

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from imolo.ball.flight import Flight, free_flight
-from imolo.config.experiment import RobotConfig, TrainingConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import body_of
 from imolo.errors import TrainingDataError
 from imolo.messaging import channels
 from imolo.messaging.log import Log
@@ -16,7 +17,6 @@ Array = NDArray[np.float64]
 
 LINK_SPEED = 12.0  # [m/s] a marker may be this much faster or slower than it was, as when it is thrown or bounces
 LINK_TIME = 0.05  # [s] longest gap in a track
-AGREEMENT_TIME = 0.17  # [s] after t_w, in the middle of the samples of Sec. VII-B
 SPLINE_REACH = 0.1  # [s] of a marker's track on both sides that is interpolated
 
 
@@ -52,18 +52,19 @@ def last_plan(log: Log) -> plan_t | None:
     return started[-1] if started else None
 
 
-def hand_in_swing(log: Log, hand_marker: int) -> Array | None:
-    """Return where the hand was `AGREEMENT_TIME` after t_w [m], shape (3,): where two backends are compared.
+def hand_in_swing(log: Log, config: ExperimentConfig) -> Array | None:
+    """Return where the effector was when two backends are compared, `TrainingConfig.comparison_time` [m], shape (3,).
 
     None if the log has no motion or does not show the hand then.
     """
     plan = last_plan(log)
     if plan is None:
         return None
-    return hand_at(log, hand_marker, plan.plan_onset_utime * 1e-6 + plan.theta[1] + AGREEMENT_TIME)
+    swing = plan.plan_onset_utime * 1e-6 + config.motion.swing_of(plan.theta)
+    return hand_at(log, body_of(config.robot).learning_marker, swing + config.training.comparison_time)
 
 
-def hand_samples(log: Log, robot: RobotConfig, training: TrainingConfig) -> TrainingData:
+def hand_samples(log: Log, config: ExperimentConfig) -> TrainingData:
     """Return where the hand was while it could hit, the tuples (s, t, theta) of Sec. VII-B.
 
     Raises:
@@ -72,17 +73,17 @@ def hand_samples(log: Log, robot: RobotConfig, training: TrainingConfig) -> Trai
     plan = last_plan(log)
     if plan is None:
         raise TrainingDataError(f"{log.path} holds no motion to learn from")
-    k, t_w = plan.theta
-    time, position = marker_track(log, robot.hand_marker)
+    body, training = body_of(config.robot), config.training
+    time, position = marker_track(log, body.learning_marker)
     time = time - plan.plan_onset_utime * 1e-6
-    swing = (time - t_w > training.sampled_from) & (time - t_w < training.sampled_to)
+    since = time - config.motion.swing_of(plan.theta)
+    swing = (since > training.sampled_from) & (since < training.sampled_to)
     if not swing.any():
         raise TrainingDataError(
-            f"{log.path}: marker {robot.hand_marker} was not seen {training.sampled_from} to {training.sampled_to} s "
-            "after t_w; is robot.hand_marker the hand?"
+            f"{log.path}: marker {body.learning_marker} ({body.effectors[0].name}) was not seen "
+            f"{training.sampled_from} to {training.sampled_to} s after the start of the swing; do the cameras label it so?"
         )
-    count = int(swing.sum())
-    return TrainingData(np.tile((k, t_w), (count, 1)), time[swing], position[swing])
+    return TrainingData(np.tile(plan.theta, (int(swing.sum()), 1)), time[swing], position[swing])
 
 
 def merge(samples: list[TrainingData]) -> TrainingData:

@@ -2,7 +2,8 @@
 
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import Commands, MotionTemplate, Theta, to_microseconds
+from imolo.method.commands import Commands, to_microseconds
+from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import mocap_frame_t, plan_t
 
 # After the first frame [s]. A ball comes half a second after the start, when the robot has long settled into its ready
@@ -43,5 +44,5 @@ class MotionPlayer:
         plan.state = plan_t.STARTED if self._sequence == 1 else plan_t.KEPT
         plan.theta = list(self._theta)
         plan.plan_onset_utime = self._commands.onset_utime
-        plan.hit_utime = self._commands.switch_utime[self._template.switch_phase - 1]
+        plan.hit_utime = self._commands.onset_utime + to_microseconds(self._template.swing_of(self._theta))
         self._bus.publish(channels.PLAN, plan)

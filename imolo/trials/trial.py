@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import EventName, Trial
-from imolo.contracts.registry import load_backend
+from imolo.config.loading import create_backend, create_task
+from imolo.contracts.planner import Controller
+from imolo.contracts.trial import EventName, Trial
 from imolo.errors import TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
@@ -14,13 +14,6 @@ from imolo.messaging.log import Recorder
 from imolo_msgs import trial_event_t
 
 SLICE = 1000  # [µs] between two looks at the bus; commands take effect no later than this after their frame
-
-
-class Controller(Protocol):
-    """What commands the robot: listens to MOCAP and TRIAL, publishes VALVE_COMMAND."""
-
-    def attach(self, bus: Bus) -> None:
-        """Join the bus."""
 
 
 class Bystander:
@@ -40,7 +33,7 @@ def run_trial(
 ) -> float:
     """Run a trial in lock-step and record all of it.
 
-    The trial ends a while after the ball was hit or has landed, and at `duration` at the latest.
+    The trial ends a while after the event that ends its task, and at `duration` at the latest.
 
     Args:
         config: Names the backend and everything around it.
@@ -59,13 +52,12 @@ def run_trial(
         TrialVoidError: The trial was broken off; the log ends with the reason.
     """
     bus = Bus(config.bus)
-    plugin = load_backend(config.backend.name)
-    backend = plugin.create(config, config.backend_options())
+    backend, task = create_backend(config), create_task(config)
     end = round(duration * 1e6)
 
     def shorten(event: trial_event_t) -> None:
         nonlocal end
-        if event.event in (EventName.HIT, EventName.BALL_LANDED):
+        if task.ends(event):
             end = min(end, event.utime + round(config.campaign.tail * 1e6))
 
     with Recorder(bus, log_path, lambda: backend.utime):

@@ -12,7 +12,7 @@ from viser.extras import ViserUrdf
 
 from imolo.campaigns.figures import COLORS
 from imolo.config.simulation import BallConfig
-from imolo.contracts.backend import RobotDescription
+from imolo.contracts.robot import Body
 from imolo.messaging import channels
 from imolo.view.sessions import Moment
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
@@ -36,15 +36,16 @@ LEGEND_SPACING = 0.13  # [m]
 TEXT_OFFSET = np.array([0.06, 0.0, 0.0])  # [m]
 
 
-def prepare_scene(server: viser.ViserServer, description: RobotDescription) -> None:
+def prepare_scene(server: viser.ViserServer, body: Body) -> None:
     """Add what never moves: floor, boxes, light and the first view."""
     server.scene.set_up_direction("+z")
     # The default light is a picture from the network; a view must work without one.
     server.scene.configure_environment_map(None)
     server.scene.add_light_hemisphere("/sky", ground_color=GROUND_LIGHT, intensity=SKY_INTENSITY)
     server.scene.add_grid("/floor", width=10.0, height=6.0, cell_size=0.25, section_size=1.0, position=(1.0, 0.0, 0.0))
-    for number, (position, size) in enumerate(description.boxes):
-        server.scene.add_box(f"/box_{number}", BOX_COLOR, size, position=position)
+    for number, box in enumerate(body.boxes):
+        x, y, z = box.half_extents
+        server.scene.add_box(f"/box_{number}", BOX_COLOR, (2.0 * x, 2.0 * y, 2.0 * z), position=box.center)
     server.initial_camera.position = CAMERA
     server.initial_camera.look_at = LOOK_AT
     server.initial_camera.fov = FIELD_OF_VIEW
@@ -54,14 +55,12 @@ def prepare_scene(server: viser.ViserServer, description: RobotDescription) -> N
 class SessionScene:
     """One session; several of them lie over each other, each in a colour of its own."""
 
-    def __init__(
-        self, server: viser.ViserServer, description: RobotDescription, name: str, number: int, alone: bool
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, body: Body, name: str, number: int, alone: bool) -> None:
         """Add the robot and its ball.
 
         Args:
             server: Where to draw.
-            description: The robot.
+            body: Of the robot.
             name: Of the session.
             number: Of the session among those shown.
             alone: Whether it is the only one, which keeps the colours of the model.
@@ -72,14 +71,14 @@ class SessionScene:
         self._shown: dict[str, Any] = {}
         self._trunk = self._scene.add_frame(f"{self._root}/robot", show_axes=False)
         tint = None if alone else tuple(part / 255.0 for part in self._color)
-        model = _matt(yourdfpy.URDF.load(str(description.urdf)))
+        model = _matt(yourdfpy.URDF.load(str(body.urdf)))
         self._robot = ViserUrdf(
             server,
             model,
             root_node_name=f"{self._root}/robot",
             mesh_color_override=tint,
         )
-        self._order = [description.joint_names.index(joint) for joint in self._robot.get_actuated_joint_names()]
+        self._order = [body.joint_names.index(joint) for joint in self._robot.get_actuated_joint_names()]
         radius = BallConfig().radius
         self._ball = self._scene.add_icosphere(f"{self._root}/ball", radius, self._color, visible=False)
         self._target = self._scene.add_box(

@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.errors import BusError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus

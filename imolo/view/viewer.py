@@ -8,8 +8,8 @@ from pathlib import Path
 
 import viser
 
-from imolo.contracts.backend import RobotDescription
-from imolo.contracts.registry import describe_robot
+from imolo.config.loading import known_body
+from imolo.contracts.robot import Body
 from imolo.errors import BackendNotFoundError, ConfigError, ResultsError
 from imolo.messaging.bus import Bus
 from imolo.view.scene import SessionScene, prepare_scene, show_all
@@ -20,15 +20,15 @@ CLOCK = (-1.0, 0.0, 2.2)  # [m]
 PICTURES = 60.0  # [Hz] of the browser
 
 
-def describe(robot: str) -> RobotDescription:
+def describe(robot: str) -> Body:
     """Return what a robot looks like.
 
     Raises:
-        BackendNotFoundError: No backend that is ready has it.
+        BackendNotFoundError: It is not installed.
     """
-    found = describe_robot(robot)
+    found = known_body(robot)
     if found is None:
-        raise BackendNotFoundError(f"no backend that is ready knows robot {robot!r}; `imolo backends` lists them")
+        raise BackendNotFoundError(f"robot {robot!r} is not installed; `imolo robots` lists those that are")
     return found
 
 

@@ -5,13 +5,13 @@ from requirements import AVAILABLE, BACKENDS
 
 from imolo.conformance.suite import Suite
 from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
-from imolo.contracts.registry import backend_status
+from imolo.contracts.registry import BACKENDS
 from imolo_backends.conformance import SCENES
 
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_the_engine_is_there_to_be_checked(name: str) -> None:
-    assert backend_status(name).problem == ""
+    assert BACKENDS.status(name).problem == ""
 
 
 @parametrize_checks(*AVAILABLE)

@@ -10,7 +10,7 @@ from imolo.conformance.page import counterpart, differences, render_page, write_
 from imolo.conformance.record import Record, load_records, record
 from imolo.conformance.runner import run_suites
 from imolo.conformance.suite import suites
-from imolo.contracts.registry import backend_status
+from imolo.contracts.registry import BACKENDS
 from imolo.errors import ResultsError
 
 REQUIRED = ("dart", "mujoco", "pybullet")
@@ -40,7 +40,7 @@ def test_nothing_on_the_page_has_failed(recorded: dict[str, Record]) -> None:
 @pytest.mark.slow
 def test_numbers_on_the_page_are_measured_again(recorded: dict[str, Record]) -> None:
     """Measure all engines of the page that are installed; a required one that is not is an error."""
-    chosen = suites([label for label in recorded if label in REQUIRED or backend_status(label).plugin is not None])
+    chosen = suites([label for label in recorded if label in REQUIRED or BACKENDS.status(label).plugin is not None])
     outcomes = run_suites(chosen, jobs=2)
     now = [record(suite, outcomes[suite.label]) for suite in chosen]
     changed = [line for one in now for line in differences(recorded[one.label], one)]

@@ -36,7 +36,7 @@ def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> Non
 
 @pytest.mark.usefixtures("without_pybullet")
 def test_missing_extra_leaves_the_other_backends_ready() -> None:
-    status = {name: registry.backend_status(name) for name in ("dart", "mujoco", "pybullet")}
+    status = {name: registry.BACKENDS.status(name) for name in ("dart", "mujoco", "pybullet")}
     assert status["pybullet"].plugin is None
     assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
     assert (status["mujoco"].problem, status["dart"].problem) == ("", "")

@@ -15,7 +15,7 @@ import pytest
 
 from imolo.conformance import Verdict, run_check
 from imolo.contracts.engine import Array, EngineState, Scene
-from imolo.contracts.registry import load_backend
+from imolo.contracts.registry import BACKENDS
 from imolo_backends.conformance import SCENES
 from imolo_backends.conformance.subject import Subject, bind
 from imolo_backends.engines import dart_engine, mujoco_engine, pybullet_engine
@@ -38,7 +38,7 @@ MUJOCO: Any = mujoco_engine.mujoco
 def failed(engine: Any, mutated: Any, check: str) -> list[str]:
     """Return the quantities of a check that fail in the mutated engine."""
     subject = Subject(mutated, OPTIONS[engine]())
-    outcomes = run_check(bind(CHECKS[check], subject), load_backend(NAMES[engine]).limitations)
+    outcomes = run_check(bind(CHECKS[check], subject), BACKENDS.load(NAMES[engine]).limitations)
     return [o.measurement.quantity if o.measurement else o.remark for o in outcomes if o.verdict is Verdict.FAIL]
 
 

@@ -18,7 +18,7 @@ from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
 from imolo.campaigns.kept_trials import TrialTiming, partial_path, partial_paths
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig, ParallelConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import BusError, ConfigError, MissingToolError, ResultsError, WorkerError
 
 SHORT = 0.1  # [s] of a trial

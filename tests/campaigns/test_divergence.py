@@ -11,8 +11,8 @@ from played_trials import COARSE, config
 
 from imolo.config.model import Model
 from imolo.config.simulation import SimulationConfig
-from imolo.contracts.backend import Trial, TrialKind
 from imolo.contracts.engine import EngineState, Scene
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import DivergenceError
 from imolo.messaging.bus import Bus
 from imolo_backends.simulation.simulated import simulated_plugin

@@ -14,7 +14,7 @@ from requirements import needs
 from imolo.config.simulation import ContactConfig
 from imolo.messaging import channels
 from imolo.messaging.log import Log
-from imolo.method.motion import TRAINING_MOTIONS, Theta
+from imolo.method.motion import Theta
 from imolo.trials.recordings import last_plan
 
 SWING = 0.17  # [s] since t_w, in the middle of the samples of Sec. VII-B

@@ -8,9 +8,8 @@ from requirements import BACKEND_NAMES, BACKENDS
 
 from imolo.config.experiment import ExperimentConfig, load_config
 from imolo.contracts.backend import BackendPlugin
-from imolo.contracts.registry import backend_names, backend_status, load_backend
+from imolo.contracts.registry import BACKENDS
 from imolo.errors import BackendNotFoundError, ConfigError, ImoloError
-from imolo.method.motion import TRAINING_MOTIONS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 GOOD = "backend: {name: mujoco}\n"
@@ -125,17 +124,17 @@ def test_steps_that_cannot_work_are_refused(tmp_path: Path, simulation: str, mes
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_required_engines_are_registered_and_ready(name: str) -> None:
-    assert name in backend_names()
-    assert backend_status(name).problem == ""
+    assert name in BACKENDS.names()
+    assert BACKENDS.status(name).problem == ""
 
 
 def test_backends_are_in_alphabetical_order() -> None:
-    assert backend_names() == sorted(backend_names())
+    assert BACKENDS.names() == sorted(BACKENDS.names())
 
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_plugin_has_a_line_of_summary_and_options_with_defaults(name: str) -> None:
-    plugin = load_backend(name)
+    plugin = BACKENDS.load(name)
     assert isinstance(plugin, BackendPlugin)
     assert plugin.summary
     assert "\n" not in plugin.summary

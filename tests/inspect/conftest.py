@@ -5,7 +5,7 @@ from recorded_trials import METHOD, Recorded
 
 from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.planner import Planner
 from imolo.method.table import GridAxis, TableGrid

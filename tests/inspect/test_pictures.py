@@ -14,8 +14,8 @@ from command_line import Run
 from recorded_trials import Recorded
 from requirements import needs
 
-from imolo.contracts.backend import EventName
 from imolo.contracts.registry import describe_robot
+from imolo.contracts.trial import EventName
 from imolo.inspect.fields import parse_selector, series
 from imolo.inspect.plot import draw_fields, short_names
 from imolo.inspect.statistics import ChannelStatistics, statistics_of

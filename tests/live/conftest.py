@@ -8,7 +8,7 @@ import pytest
 from live_table import COARSE, Learned, learn
 from network import namespace
 
-from imolo.config.experiment import load_config
+from imolo.config.loading import load_config
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.live.clock import GIVE_UP, Pace
 from imolo.live.streams import Latency, Streams
 from imolo.messaging import channels

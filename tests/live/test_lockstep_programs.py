@@ -7,7 +7,7 @@ from live_table import Learned
 from programs import lab
 
 from imolo.campaigns.campaign import TrialTask, run_task
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.log import read_log
 

@@ -15,7 +15,7 @@ from live_table import Learned
 from network import URL
 from programs import Lab, lab
 
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS

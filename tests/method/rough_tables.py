@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig
-from imolo.method.motion import TRAINING_MOTIONS
 from imolo.method.table import GridAxis, LookupTable, TableGrid
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from sklearn.svm import SVR
 
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, ForwardModelConfig, TrainingData
-from imolo.method.motion import TRAINING_MOTIONS
 from imolo.method.regressors import fit_quietly, make_regressor
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from imolo.errors import ConfigError, MessageError
-from imolo.method.motion import NUM_VALVES, SUPPLY_PRESSURE, TRAINING_MOTIONS, Commands, MotionTemplate, Theta
+from imolo.method.commands import Commands
+from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import valve_command_t
 
 TEMPLATE = MotionTemplate()

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from imolo_backends.simulation.thrower import Throw, aimed_velocity, draw_throw
 from numpy.typing import NDArray
 
 from imolo.config.simulation import BallConfig, ThrowerConfig
-from imolo.contracts.backend import Trial, TrialKind
+from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import ConfigError
-from imolo_backends.simulation.thrower import Throw, aimed_velocity, draw_throw
 
 Array = NDArray[np.float64]
 

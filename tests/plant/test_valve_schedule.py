@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from imolo.method.motion import Commands, MotionTemplate, Theta
 from imolo_backends.simulation.valve_schedule import ValveSchedule
+
+from imolo.method.commands import Commands
+from imolo.method.motion import MotionTemplate, Theta
 
 REST = np.array([0.0] * 7 + [5e4])
 ONSET = 20_000  # [µs]

@@ -7,7 +7,7 @@ import pytest
 from played_trials import config, event, mocap, plan
 
 from imolo.config.experiment import METHODS, MethodConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.forward_model import PAPER_SVR, TrainingData

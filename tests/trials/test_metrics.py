@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from played_trials import config, event, mocap, plan
 
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.errors import TrainingDataError
 from imolo.messaging import channels
 from imolo.messaging.log import Log

@@ -12,13 +12,13 @@ from requirements import AVAILABLE, BACKEND_NAMES, needs
 
 from imolo.ball.model import BallModel
 from imolo.campaigns.campaign import TrialTask, learning_tasks, run_task, run_tasks
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import TableFileError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
+from imolo.method.commands import Commands
 from imolo.method.forward_model import ForwardModelConfig
-from imolo.method.motion import Commands
 from imolo.method.planner import Planner, PlannerConfig
 from imolo.method.table import GridAxis, LookupTable, TableGrid
 from imolo.trials.learning import build_table, learn_ball, learn_motions

@@ -9,7 +9,7 @@ import pytest
 from played_trials import BACKENDS, COARSE, Commander, command, config, events, play, play_motion, quiet
 
 from imolo.config.simulation import SimulationConfig
-from imolo.contracts.backend import EventName, TrialKind
+from imolo.contracts.trial import EventName, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.motion import Theta

@@ -8,14 +8,14 @@ from unittest import mock
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from imolo_backends.actuators.plant import Plant
 from played_trials import COARSE, Commander, events, play, quiet
 from requirements import AVAILABLE
 
 from imolo.config.simulation import PneumaticsConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.messaging.log import Log
-from imolo.method.motion import NUM_VALVES, SUPPLY_PRESSURE, Commands
-from imolo_backends.actuators.plant import Plant
+from imolo.method.commands import Commands
 
 STEP = round(COARSE * 1e6)  # [µs]
 DURATION = 0.06  # [s]

@@ -6,33 +6,34 @@ import numpy as np
 
 from imolo.config.simulation import MocapConfig
 from imolo.contracts.engine import Array, EngineState
+from imolo.contracts.robot import Body
 from imolo_msgs import marker_t, mocap_frame_t
-from imolo_robots.liberobot.body import MARKERS
 
-GHOST_DISTANCE = 3.0  # [m] from the trunk along each axis at most, assumed: the capture volume
+GHOST_DISTANCE = 3.0  # [m] from the base along each axis at most, assumed: the capture volume
 
 
 class Mocap:
     """Exposes frames, keeps them for the latency, and loses some of what was in them."""
 
-    def __init__(self, config: MocapConfig, link_names: tuple[str, ...], rng: np.random.Generator) -> None:
+    def __init__(self, config: MocapConfig, body: Body, rng: np.random.Generator) -> None:
         """Prepare the cameras.
 
         Args:
             config: What is wrong with them.
-            link_names: Order of the links in an `EngineState`.
+            body: Whose markers they see.
             rng: Chance of this trial.
         """
         self._config = config
         self._rng = rng
-        self._link = np.array([link_names.index(marker.link) for marker in MARKERS])
-        self._offset = np.array([marker.offset for marker in MARKERS])
+        self._markers = body.markers
+        self._link = np.array([body.link_of(marker) for marker in body.markers])
+        self._offset = np.array([marker.offset for marker in body.markers])
         self._frame_number = 0
         self._waiting: deque[tuple[int, mocap_frame_t]] = deque()
 
     def expose(self, utime: int, state: EngineState) -> None:
         """Take a frame of the state at `utime` [µs]."""
-        config, count = self._config, len(MARKERS)
+        config, count = self._config, len(self._markers)
         self._frame_number += 1
         # Always the same number of draws, so that one lost marker does not change the rest of the trial.
         normal = self._rng.standard_normal((count + 1, 3))
@@ -44,7 +45,7 @@ class Mocap:
         markers = [
             _marker(marker.marker_id if label_chance >= config.unlabelled else marker_t.UNLABELLED, position)
             for marker, position, seen_chance, label_chance in zip(
-                MARKERS, robot, chance[:count], chance[count : 2 * count], strict=True
+                self._markers, robot, chance[:count], chance[count : 2 * count], strict=True
             )
             if seen_chance >= config.marker_dropout
         ]

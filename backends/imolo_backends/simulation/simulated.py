@@ -5,70 +5,66 @@ import itertools
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import body_of, create_task
 from imolo.config.model import Model
-from imolo.config.simulation import SimulationConfig
 from imolo.conformance import Check, Limitation
-from imolo.contracts.backend import Backend, BackendPlugin, EventName, Trial, TrialKind
-from imolo.contracts.engine import Array, Ball, Engine, EngineOptions, EngineState
+from imolo.contracts.backend import Backend, BackendPlugin
+from imolo.contracts.engine import Array, Engine, EngineOptions, EngineState
+from imolo.contracts.robot import Body
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import DivergenceError, MessageError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import Commands
-from imolo_backends.actuators.plant import Plant
+from imolo.method.commands import Commands
 from imolo_backends.conformance import engine_checks
-from imolo_backends.simulation.disturbance import draw_disturbance
+from imolo_backends.simulation.ball_drag import BallDrag
+from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
-from imolo_backends.simulation.thrower import GRAVITY, draw_throw
-from imolo_backends.simulation.valve_schedule import ValveSchedule
 from imolo_msgs import trial_event_t, truth_ball_t, truth_robot_t, valve_command_t, valve_pressure_t
-from imolo_robots.liberobot.body import (
-    ARM_LINKS,
-    FOOT_LINKS,
-    HAND_OFFSET,
-    JOINT_LIMITS,
-    JOINT_NAMES,
-    LINK_NAMES,
-    READY_JOINT_ANGLE,
-    ROBOT_NAME,
-    SOLE_RADIUS,
-    ready_scene,
-    robot_description,
-)
 
 logger = logging.getLogger(__name__)
 
-TOUCHDOWN_MARGIN = 0.002  # [m] above the floor at which a sole counts as landed
-FEET = tuple((LINK_NAMES.index(link), link) for link in FOOT_LINKS)
-RIGHT_ARM, LEFT_ARM = (LINK_NAMES.index(link) for link in ARM_LINKS)
-PLATE = np.array(HAND_OFFSET)  # [m] its centre in the arm frame
+TOUCHDOWN_MARGIN = 0.002  # [m] above the floor at which a foot counts as landed
 
 
 class SimulatedBackend:
-    """Runs any engine under the shared plant and publishes the same streams for all of them.
+    """Runs any engine with any robot and publishes the same streams for all of them.
 
     Time is counted in engine steps; whatever happens between them (a frame, a phase switch, the release of the ball)
-    is an event at a step, so that the loop over the steps holds nothing but air and rigid bodies.
+    is an event at a step, so that the loop over the steps holds nothing but actuators and rigid bodies.
     """
 
-    def __init__(self, name: str, config: SimulationConfig, engine: type[Engine], options: Model) -> None:
+    def __init__(self, config: ExperimentConfig, engine: type[Engine], options: Model) -> None:
         """Prepare; nothing is loaded before `start`.
 
         Args:
-            name: Public name of the backend.
             config: Everything around the engine.
             engine: Class of the engine.
             options: The engine's own options.
         """
-        self._name = name
-        self._config = config
+        self._name = config.backend.name
+        self._robot = config.robot.name
+        self._config = config.simulation
+        self._body = body_of(config.robot)
+        self._task = create_task(config)
         self._engine_class = engine
         self._options = options
+        body = self._body
+        self._touching = frozenset(effector.link for effector in body.effectors)
+        self._links = frozenset(body.link_names)
+        self._feet = [(body.link_names.index(foot.link), foot) for foot in body.feet]
+        middles = {marker.name: marker for marker in body.markers}
+        self._hands = [
+            (body.link_of(middles[effector.name]), np.array(middles[effector.name].offset))
+            for effector in body.effectors
+        ]
         self._step = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
@@ -88,44 +84,31 @@ class SimulatedBackend:
         config = self._config
         self._bus = bus
         self._trial = trial
-        throw = draw_throw(config.thrower, config.ball, trial.index, trial.generator("throw"))
-        disturbance = draw_disturbance(
-            config.disturbance, np.array(READY_JOINT_ANGLE), JOINT_LIMITS, trial.generator("disturbance")
-        )
-        ball = Ball(
-            radius=config.ball.radius,
-            mass=config.ball.mass,
-            inertia=0.4 * config.ball.mass * config.ball.radius**2,
-            position=tuple(throw.position.tolist()),
-        )
-        scene = ready_scene(
-            ball=ball,
-            timestep=config.timestep,
-            friction=config.contact.friction,
-            restitution=config.contact.restitution,
-            sole=config.sole,
-            joint_offset=disturbance.joint_angle,
-        )
-        check_start_up(self._engine_class, self._options, config.timestep)
+        body, task = self._body, self._task
+        throw = task.throw(trial)
+        rng = trial.generator("disturbance")
+        ball = replace(task.ball, position=tuple(throw.position.tolist()))
+        check_start_up(self._engine_class, self._options, config.timestep, body)
+        drawn = config.actuators.draw(config.disturbance, rng)
+        offset = _inwards(body) * np.abs(rng.normal(0.0, 1.0, len(body.ready))) * config.disturbance.joint_angle
+        scene = body.scene(ball, config.timestep, config.contact.friction, config.contact.restitution, offset)
         self._engine = self._engine_class(scene, self._options)
-        self._plant = Plant(
-            config.pneumatics,
-            config.ball,
-            config.timestep,
-            JOINT_LIMITS,
-            np.array(scene.joint_angle),
-            disturbance.plant,
+        self._actuators = config.actuators.create(
+            body.joint_limits, np.array(scene.joint_angle), config.timestep, drawn
         )
-        self._schedule = ValveSchedule(np.array(config.pneumatics.rest_pressure))
-        self._mocap = Mocap(config.mocap, LINK_NAMES, trial.generator("mocap"))
-        self._pressure_rng = trial.generator("pressure")
-        self._hold_force = np.array([0.0, 0.0, config.ball.mass * GRAVITY])
+        self._channels = config.actuators.channels
+        self._drag = BallDrag(task.drag())
+        self._schedule = CommandSchedule(self._channels)
+        self._mocap = Mocap(config.mocap, body, trial.generator("mocap"))
+        self._sensor_rng = trial.generator("pressure")
+        self._ball_mass = ball.mass
+        self._hold_force = 0.0 - ball.mass * np.array(scene.gravity)
         self._released = False
         self._throw = throw
         self._state = self._engine.read()
         self._state_step = 0
         bus.subscribe(channels.VALVE_COMMAND, self._on_command)
-        self._every(config.pressure_rate, self._tell_pressure)
+        self._every(config.sensor_rate, self._tell_sensors)
         self._every(config.truth_rate, self._tell_truth)
         self._every(config.mocap.rate, self._expose)
         if trial.kind is not TrialKind.TRAINING:
@@ -148,12 +131,15 @@ class SimulatedBackend:
         self._engine.close()
 
     def _run(self, steps: int) -> None:
-        plant_step, engine_step, motion = self._plant.step, self._engine.step, self._engine.motion
-        torque = self._plant.joint_torque
-        ball_force = self._plant.ball_force if self._released else self._hold_force
+        actuate, engine_step, motion = self._actuators.step, self._engine.step, self._engine.motion
+        torque = self._actuators.joint_torque
+        drag = self._drag.step if self._released else None
+        ball_force = self._drag.force if self._released else self._hold_force
         angle, velocity, ball_velocity = motion()
         for _ in range(steps):
-            plant_step(angle, velocity, ball_velocity)
+            actuate(angle, velocity)
+            if drag is not None:
+                drag(ball_velocity)
             engine_step(torque, ball_force)
             angle, velocity, ball_velocity = motion()
         self._step += steps
@@ -173,7 +159,7 @@ class SimulatedBackend:
 
     def _release(self) -> None:
         # One step of force that leaves exactly the release velocity behind.
-        self._hold_force += self._config.ball.mass * self._throw.velocity / self._config.timestep
+        self._hold_force += self._ball_mass * self._throw.velocity / self._config.timestep
         self._run(1)
         self._released = True
         self._announce_once(
@@ -182,9 +168,9 @@ class SimulatedBackend:
 
     def _on_command(self, message: valve_command_t) -> None:
         try:
-            commands = Commands.from_message(message, self._config.pneumatics.supply_pressure)
+            commands = Commands.from_message(message, self._channels)
         except MessageError as error:
-            logger.warning("refused a valve command at %d us: %s", message.utime, error)
+            logger.warning("refused a command at %d us: %s", message.utime, error)
             return
         if self._schedule.accept(commands):
             self._follow_schedule()
@@ -192,27 +178,38 @@ class SimulatedBackend:
                 self._at(change * 1e-6, self._follow_schedule)
 
     def _follow_schedule(self) -> None:
-        self._plant.target[:] = self._schedule.target(self.utime)
+        self._actuators.target[:] = self._schedule.target(self.utime)
         late = self._schedule.time_since_onset(self.utime)
         if late is not None:
             self._announce_once(EventName.ONSET, np.zeros(3), f"{late} us after the commanded onset")
 
-    def _tell_pressure(self) -> None:
-        utime = self.utime
+    def _tell_sensors(self) -> None:
         pressure = self._pressure
-        pressure.utime = utime
+        pressure.utime = self.utime
         pressure.pressure_sequence += 1
-        noise = self._pressure_rng.normal(0.0, self._config.pressure_noise, 8)
-        pressure.pressure = (self._plant.valve_pressure + noise).tolist()
+        noise = self._sensor_rng.normal(0.0, self._config.actuators.sensor_noise, len(self._channels))
+        pressure.pressure = (self._actuators.measured() + noise).tolist()
         self._bus.publish(channels.VALVE_PRESSURE, pressure)
 
     def _tell_truth(self) -> None:
         state = self._read()
         utime = self.utime
-        _tell_robot(self._truth_robot, utime, state)
+        self._tell_robot(utime, state)
         self._bus.publish(channels.TRUTH_ROBOT, self._truth_robot)
         _tell_ball(self._truth_ball, utime, state)
         self._bus.publish(channels.TRUTH_BALL, self._truth_ball)
+
+    def _tell_robot(self, utime: int, state: EngineState) -> None:
+        truth = self._truth_robot
+        truth.utime = utime
+        truth.trunk_position = state.link_position[0].tolist()
+        truth.trunk_quaternion = state.base_quaternion.tolist()
+        truth.joint_angle = state.joint_angle.tolist()
+        truth.joint_velocity = state.joint_velocity.tolist()
+        places = [
+            (state.link_position[link] + state.link_rotation[link].dot(offset)).tolist() for link, offset in self._hands
+        ]
+        truth.right_hand_position, truth.left_hand_position = places
 
     def _expose(self) -> None:
         self._mocap.expose(self.utime, self._read())
@@ -229,24 +226,24 @@ class SimulatedBackend:
         self._state, self._state_step = state, self._step
         self._check_finite(state)
         for contact in state.ball_contacts:
-            if contact.other in ARM_LINKS and EventName.BALL_LANDED not in self._happened:
+            if contact.other in self._touching and EventName.BALL_LANDED not in self._happened:
                 detail = f"{contact.other}, {contact.force:.1f} N"
                 self._announce_once(EventName.HIT, contact.position, detail, round(contact.time * 1e6))
-            elif contact.other not in LINK_NAMES:
+            elif contact.other not in self._links:
                 detail = f"on {contact.other}"
                 self._announce_once(EventName.BALL_LANDED, contact.position, detail, round(contact.time * 1e6))
-        for index, link in FEET:
-            if state.link_position[index, 2] < SOLE_RADIUS + TOUCHDOWN_MARGIN:
-                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], link)
+        for index, foot in self._feet:
+            if state.link_position[index, 2] < foot.height + TOUCHDOWN_MARGIN:
+                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], foot.link)
         return state
 
     def _check_finite(self, state: EngineState) -> None:
         # Of so few numbers Python's sum is the fastest.
         if not math.isfinite(sum(state.joint_angle.tolist()) + sum(state.joint_velocity.tolist())):
             joint = int(np.argmin(np.isfinite(state.joint_angle) & np.isfinite(state.joint_velocity)))
-            where = f"joint {JOINT_NAMES[joint]}"
+            where = f"joint {self._body.joint_names[joint]}"
         elif not math.isfinite(state.link_position.sum()):
-            where = "the trunk"
+            where = f"link {self._body.link_names[0]}"
         elif not math.isfinite(sum(state.ball_position.tolist()) + sum(state.ball_velocity.tolist())):
             where = "the ball"
         else:
@@ -264,7 +261,7 @@ class SimulatedBackend:
         message.utime = self.utime if utime is None else utime
         message.trial = self._trial.index
         message.event = event.value
-        message.robot = ROBOT_NAME
+        message.robot = self._robot
         message.backend = self._name
         message.event_position = position.tolist()
         message.detail = detail
@@ -289,27 +286,18 @@ def simulated_plugin(
     """
 
     def create(config: ExperimentConfig, chosen: Model) -> Backend:
-        return SimulatedBackend(config.backend.name, config.simulation, engine, chosen)
+        return SimulatedBackend(config, engine, chosen)
 
     def checks(chosen: Model) -> tuple[Check, ...]:
         return engine_checks(engine, options.model_validate(chosen.model_dump()))
 
-    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {}, robot_description())
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {})
 
 
-def _tell_robot(truth: truth_robot_t, utime: int, state: EngineState) -> None:
-    truth.utime = utime
-    truth.trunk_position = state.link_position[0].tolist()
-    truth.trunk_quaternion = state.base_quaternion.tolist()
-    truth.joint_angle = state.joint_angle.tolist()
-    truth.joint_velocity = state.joint_velocity.tolist()
-    truth.right_hand_position = _plate_position(state, RIGHT_ARM)
-    truth.left_hand_position = _plate_position(state, LEFT_ARM)
-
-
-def _plate_position(state: EngineState, arm: int) -> list[float]:
-    position: list[float] = (state.link_position[arm] + state.link_rotation[arm].dot(PLATE)).tolist()
-    return position
+def _inwards(body: Body) -> Array:
+    """Return the sign by which each joint can only be off: a ready pose may rest on the joints' stops, shape (J,)."""
+    low, high = body.joint_limits.T
+    return np.where(high - np.array(body.ready) < np.array(body.ready) - low, -1.0, 1.0)
 
 
 def _tell_ball(truth: truth_ball_t, utime: int, state: EngineState) -> None:

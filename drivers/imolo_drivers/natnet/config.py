@@ -1,10 +1,13 @@
 """Settings of the motion capture."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Self
 
 from pydantic import Field, IPvAnyAddress, model_validator
 
 from imolo.config.model import Model, Positive
+from imolo.contracts.robot import Body
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 
@@ -12,34 +15,37 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 class MarkerLabels(Model):
     """Which marker of Motive's is which of ours."""
 
-    asset: str = Field("liberobot", description="the rigid body, marker set or skeleton that the markers belong to")
+    asset: str | None = Field(
+        None, description="the rigid body, marker set or skeleton of the markers; the robot's name if not given"
+    )
     model_id: Annotated[int, Field(ge=1, le=0xFFFF)] | None = Field(
         None,
         description="streaming id of the asset, where the model definitions do not tell it (marker sets before 4.1)",
     )
-    markers: dict[str, Annotated[int, Field(ge=0)]] = Field(
-        {
-            "right_hip": 0,
-            "right_knee": 1,
-            "right_ankle": 2,
-            "left_hip": 3,
-            "left_knee": 4,
-            "left_ankle": 5,
-            "right_hand": 6,
-            "left_hand": 7,
-            "right_shoulder": 8,
-            "left_shoulder": 9,
-            "right_toe": 10,
-            "left_toe": 11,
-        },
-        description="Motive's name of a marker to our `marker_id`",
+    markers: dict[str, Annotated[int, Field(ge=0)]] | None = Field(
+        None, description="Motive's name of a marker to our `marker_id`; the robot's own names if not given"
     )
 
     @model_validator(mode="after")
     def _each_label_once(self) -> Self:
-        if len(set(self.markers.values())) < len(self.markers):
+        markers = self.markers or {}
+        if len(set(markers.values())) < len(markers):
             raise ValueError("two markers have the same label")
         return self
+
+    def of(self, body: Body) -> "NamedMarkers":
+        """Return what the cameras call the markers of a robot."""
+        markers = self.markers or {marker.name: marker.marker_id for marker in body.markers}
+        return NamedMarkers(self.asset or body.name, self.model_id, markers)
+
+
+@dataclass(frozen=True)
+class NamedMarkers:
+    """What Motive calls the markers of a robot: see `MarkerLabels`."""
+
+    asset: str
+    model_id: int | None
+    markers: Mapping[str, int]
 
 
 class NatNetConfig(Model):

@@ -7,14 +7,14 @@ import numpy as np
 from imolo.errors import CalibrationError, NatNetError, did_you_mean
 from imolo_drivers.natnet import messages as m
 from imolo_drivers.natnet.calibration import Calibration, CalibrationLimits
-from imolo_drivers.natnet.config import MarkerLabels
+from imolo_drivers.natnet.config import NamedMarkers
 from imolo_msgs import marker_t, mocap_frame_t
 
 Labels = Mapping[tuple[int, int], int]
 """Our label of a marker by `model_id` and `marker_id`."""
 
 
-def find_labels(config: MarkerLabels, definitions: m.ModelDefinitions) -> dict[tuple[int, int], int]:
+def find_labels(config: NamedMarkers, definitions: m.ModelDefinitions) -> dict[tuple[int, int], int]:
     """Find the robot's markers among the models that Motive streams.
 
     Raises:

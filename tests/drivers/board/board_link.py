@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imolo.method.motion import NUM_VALVES, Commands
+from imolo.method.commands import Commands
 from imolo_drivers.board import BoardConfig
 from imolo_drivers.board_client import BoardClient
 from imolo_drivers.board_server import BoardServer, monotonic_utime

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imolo.errors import BackendError
-from imolo.method.motion import NUM_VALVES
 from imolo_drivers.board import (
     NEVER,
     VENT_MARGIN,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import EventName, Trial, TrialKind
-from imolo.contracts.registry import load_backend
+from imolo.contracts.registry import BACKENDS
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
@@ -159,7 +159,7 @@ def play(
 
 
 def backend(chosen: ExperimentConfig) -> Any:
-    return load_backend("hardware").create(chosen, chosen.backend_options())
+    return BACKENDS.load("hardware").create(chosen, chosen.backend_options())
 
 
 def memory_bus() -> Bus:

@@ -24,7 +24,7 @@ from scripted_robot import (
     void,
 )
 
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError, NatNetError, NatNetVersionError, TrialVoidError
 from imolo.messaging import channels
 from imolo.trials.trainer import START_MARGIN

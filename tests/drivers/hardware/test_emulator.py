@@ -12,7 +12,7 @@ from requirements import AVAILABLE
 from running_emulator import PATIENCE, RunningEmulator, emulator
 
 from imolo.config.experiment import BackendConfig, ExperimentConfig
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS

@@ -20,8 +20,8 @@ from scripted_robot import (
 )
 
 from imolo.campaigns.campaign import TrialTask, run_tasks
-from imolo.contracts.backend import EventName, Trial, TrialKind
 from imolo.contracts.registry import ready_simulations
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError, ConfigError, TrialVoidError
 from imolo.live.backend_program import BackendProgram
 from imolo.live.identity import ClockMode

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from imolo.ball.tracker import BallTrackerConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo_drivers.hit_detector import BallEvent, HitDetector, HitDetectorConfig
 from imolo_msgs import marker_t, mocap_frame_t
 

@@ -1,35 +1,20 @@
 """The machine that throws the ball (Sec. VII-A)."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from imolo.config.simulation import BallConfig, ThrowerConfig
-from imolo.contracts.engine import Array
+from imolo.contracts.task import Throw
 from imolo.errors import ConfigError
+
+Array = NDArray[np.float64]
 
 GRAVITY = 9.81  # [m/s²]
 FASTEST = 50.0  # [m/s] no machine throws a foam ball faster, and the drag law would not hold
-
-
-@dataclass(frozen=True)
-class Throw:
-    """One throw.
-
-    Attributes:
-        position: Where the ball is released [m], shape (3,).
-        velocity: With which it is released [m/s], shape (3,).
-        release_time: Time since the start of the trial [s].
-        aim_point: Where the machine was aimed at [m], shape (3,).
-    """
-
-    position: Array
-    velocity: Array
-    release_time: float
-    aim_point: Array
 
 
 def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.random.Generator) -> Throw:
@@ -48,7 +33,7 @@ def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.ran
     direction = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
-    return Throw(position, speed * direction, rng.uniform(*thrower.hold_time), aim_point)
+    return Throw(position, speed * direction, rng.uniform(*thrower.hold_time))
 
 
 def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_time: float) -> Array:
@@ -66,7 +51,7 @@ def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_t
     Raises:
         ConfigError: There is none.
     """
-    drag = 0.5 * ball.air_density * ball.drag_coefficient * math.pi * ball.radius**2 / ball.mass
+    drag = drag_of(ball) / ball.mass
 
     def derivative(_: float, state: Array) -> Array:
         velocity = state[3:]
@@ -88,3 +73,8 @@ def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_t
     if not solution.success or np.abs(solution.fun).max() > 1e-6 or np.linalg.norm(solution.x) > FASTEST:
         raise too_far
     return np.asarray(solution.x)
+
+
+def drag_of(ball: BallConfig) -> float:
+    """Return the force of the air over the square of the speed, ½ ρ Cd A [kg/m]."""
+    return 0.5 * ball.air_density * ball.drag_coefficient * math.pi * ball.radius**2

@@ -1,0 +1,190 @@
+"""Electric actuators: a motor on every joint that is held at its target by a PD law, within its torque limit."""
+
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from imolo.config.disturbance import DisturbanceConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.model import Model, NonNegative, Positive
+from imolo.config.simulation import SimulationConfig
+from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
+from imolo.errors import ConfigError
+from imolo.method.motion import PhasedMotion
+
+Array = NDArray[np.float64]
+
+
+class Motor(Model):
+    """The motor of one joint, seen from the joint's side of its gear.
+
+    Attributes:
+        name: For people; that of the joint is a good one.
+        stiffness: Gain of the position error [N·m/rad].
+        damping: Gain of the velocity [N·m·s/rad].
+        torque_limit: Most that it gives [N·m].
+        speed_limit: Fastest that its target moves [rad/s].
+        low: Lowest target [rad].
+        high: Highest target [rad].
+        rest: Target before the onset and after the end of a motion [rad].
+    """
+
+    name: str
+    stiffness: Positive
+    damping: NonNegative
+    torque_limit: Positive
+    speed_limit: Positive
+    low: float
+    high: float
+    rest: float = 0.0
+
+    @model_validator(mode="after")
+    def _rest_is_in_range(self) -> Self:
+        if not self.low <= self.rest <= self.high:
+            raise ValueError(
+                f"rest of motor {self.name!r} is {self.rest:g} rad; give {self.low:g} to {self.high:g} rad"
+            )
+        return self
+
+
+class MotorDisturbance(DisturbanceConfig):
+    """How much an electric robot differs from one trial to the next."""
+
+    profiles: ClassVar[dict[str, dict[str, float]]] = {
+        "none": {},
+        "realistic": {"delay": 0.0003, "torque_scale": 0.005, "joint_angle": 0.001},
+    }
+
+    delay: NonNegative = Field(0.0, description="of each motor's delay [s]")
+    torque_scale: NonNegative = Field(0.0, description="of each motor's gains, relative [-]")
+
+
+class MotorsConfig(ActuatorsConfig):
+    """The motors of a robot."""
+
+    motors: Annotated[tuple[Motor, ...], Field(min_length=1)] = Field(description="one per joint, in their order")
+    delay: NonNegative = Field(0.002, description="of a command [s], assumed: a servo loop at 500 Hz")
+    encoder_noise: NonNegative = Field(1e-5, description="sd of the measured angle [rad], assumed: 18 bits per turn")
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The motors; released, they return to rest."""
+        return tuple(Channel(m.name, "rad", m.low, m.high, rest=m.rest, released=m.rest) for m in self.motors)
+
+    @property
+    def sensor_noise(self) -> float:
+        """Standard deviation of an encoder [rad]."""
+        return self.encoder_noise
+
+    def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw what is added to the delay of each motor [s], and what its gains are scaled by, shape (J,) each."""
+        scale = disturbance if isinstance(disturbance, MotorDisturbance) else MotorDisturbance(profile="none")
+        count = len(self.motors)
+        delay = rng.normal(0.0, 1.0, count) * scale.delay
+        return delay, 1.0 + rng.normal(0.0, 1.0, count) * scale.torque_scale
+
+    def create(self, joint_limits: Array, joint_angle: Array, timestep: float, drawn: Any = None) -> Actuators:
+        """Switch the motors on, their targets at rest."""
+        count = len(self.motors)
+        if len(joint_limits) != count:
+            raise ConfigError(f"there are {count} motors for {len(joint_limits)} joints; give one for each")
+        delay, scale = (np.zeros(count), np.ones(count)) if drawn is None else drawn
+        return Motors(self, timestep, joint_angle, np.maximum(self.delay + delay, 0.0), scale)
+
+
+class MotorSimulation(SimulationConfig):
+    """What surrounds an electric robot."""
+
+    actuators: MotorsConfig
+    disturbance: MotorDisturbance = MotorDisturbance()
+
+
+class MotorExperiment(ExperimentConfig):
+    """An experiment with an electric robot."""
+
+    motion: PhasedMotion
+    simulation: MotorSimulation
+
+
+class Motors:
+    """The motors of one trial.
+
+    The target of each moves at most by its speed limit, so that a switched target is a ramp; the torque is that of a PD
+    law about it, within the torque limit.
+    """
+
+    def __init__(self, config: MotorsConfig, timestep: float, joint_angle: Array, delay: Array, scale: Array) -> None:
+        """Hold the joints where they are.
+
+        Args:
+            config: Parameters.
+            timestep: Of the engine [s].
+            joint_angle: At the start [rad], shape (J,).
+            delay: Of each motor [s], shape (J,).
+            scale: Of the gains of each motor [-], shape (J,).
+        """
+        motors = config.motors
+        self._parameters = np.array(
+            [
+                (m.stiffness * s, m.damping * s, m.torque_limit, m.speed_limit)
+                for m, s in zip(motors, scale, strict=True)
+            ]
+        )
+        steps = np.rint(delay / timestep).astype(np.int64)
+        rest = np.array([motor.rest for motor in motors])
+        self._delayed = np.tile(rest, (int(steps.max()) + 1, 1))
+        self._counters = np.concatenate(([0], steps)).astype(np.int64)
+        self._timestep = timestep
+        self._angle = np.array(joint_angle)
+        self._setpoint = np.array(joint_angle, dtype=np.float64)
+        self.target = rest.copy()
+        self.joint_torque = np.zeros(len(motors))
+
+    def step(self, joint_angle: Array, joint_velocity: Array) -> None:
+        """Advance by one engine step under `target`, then set `joint_torque`."""
+        self._angle[:] = joint_angle
+        _advance(
+            self._parameters,
+            self._delayed,
+            self._counters,
+            self._setpoint,
+            self._timestep,
+            self.target,
+            joint_angle,
+            joint_velocity,
+            self.joint_torque,
+        )
+
+    def measured(self) -> Array:
+        """Return the joint angles at the last step [rad], shape (J,)."""
+        return self._angle.copy()
+
+
+@njit(cache=True)
+def _advance(
+    parameters: Array,
+    delayed: Array,
+    counters: NDArray[np.int64],
+    setpoint: Array,
+    timestep: float,
+    target: Array,
+    angle: Array,
+    velocity: Array,
+    torque: Array,
+) -> None:
+    ring, row = delayed.shape[0], counters[0]
+    for joint in range(len(torque)):
+        delayed[row, joint] = target[joint]
+        wanted = delayed[(row - counters[1 + joint]) % ring, joint]
+        stiffness, damping, most, speed = parameters[joint]
+        way = speed * timestep
+        before = setpoint[joint]
+        setpoint[joint] += min(way, max(-way, wanted - before))
+        # The law knows how fast its target moves, or it would lag behind by damping / stiffness.
+        pull = stiffness * (setpoint[joint] - angle[joint])
+        pull += damping * ((setpoint[joint] - before) / timestep - velocity[joint])
+        torque[joint] = min(most, max(-most, pull))
+    counters[0] = (row + 1) % ring

@@ -1,0 +1,1 @@
+"""What a robot can be asked to do with a thrown ball."""
