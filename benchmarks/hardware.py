@@ -87,7 +87,7 @@ def play_campaign(folder: Path, table_path: Path, method: str, balls: int = BALL
                     log = read_log(task.log_path)
                     if _oldest_knowledge(log) <= OLDEST:
                         tasks.append(task)
-                        hits += any(event.event == EventName.HIT for event in log.messages[channels.TRIAL])
+                        hits += any(event.event == EventName.TOUCH for event in log.messages[channels.TRIAL])
     # A trial begins with its announcement; the last one of a ball is the one that counts.
     in_truth: dict[str, bool] = {}
     for line in said:
@@ -133,7 +133,7 @@ def _oldest_knowledge(log: Log) -> float:
     """Return how long ago the newest frame known was exposed, at the worst until the ball was hit or had landed [s]."""
     exposed = np.array([frame.utime for frame in log.messages[channels.MOCAP]])
     heard = np.array(log.received[channels.MOCAP])
-    ends = [e.utime for e in log.messages[channels.TRIAL] if e.event in (EventName.HIT, EventName.BALL_LANDED)]
+    ends = [e.utime for e in log.messages[channels.TRIAL] if e.event in (EventName.TOUCH, EventName.BALL_LANDED)]
     age = (heard[1:] - exposed[:-1])[exposed[:-1] < min(ends, default=heard[-1])]
     return 1e-6 * float(age.max())
 

@@ -87,7 +87,7 @@ def _latencies(path: Path) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
     log = read_log(path)
     heard = [
         (when, channel, message.utime)
-        for channel in (channels.MOCAP, channels.VALVE_COMMAND)
+        for channel in (channels.MOCAP, channels.ACTUATOR_COMMAND)
         for when, message in zip(log.received[channel], log.messages[channel], strict=True)
     ]
     newest: dict[int, int] = {}

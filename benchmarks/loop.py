@@ -46,7 +46,7 @@ class TimedMotion:
 
     def _on_frame(self, frame: mocap_frame_t) -> None:
         message = self._commands.to_message(frame.utime, frame.frame_number)
-        self._bus.publish(channels.VALVE_COMMAND, message)
+        self._bus.publish(channels.ACTUATOR_COMMAND, message)
 
 
 def run(engine: str) -> list[Measurement]:

@@ -34,7 +34,7 @@ def run(learned: Learned, method: str, table: LookupTable, folder: Path) -> list
     planner = Planner(table, learned.ball_models[method], config.methods[method].planner, config.tracker)
     planner.attach(bus)
     commands: list[object] = []
-    bus.subscribe(channels.VALVE_COMMAND, commands.append)
+    bus.subscribe(channels.ACTUATOR_COMMAND, commands.append)
     logs = [read_log(task.log_path) for task in tasks]
     for log in logs:
         _answer_times(bus, log)  # compiles and warms up

@@ -15,7 +15,7 @@ from imolo.messaging.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
 from imolo.trials.trial import Bystander, Controller, run_trial
-from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, valve_command_t
+from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, actuator_command_t
 
 COARSE = 5e-4  # [s] for claims that are not about the precision of the physics
 UNDISTURBED = {"profile": "none"}
@@ -62,19 +62,19 @@ def play_motion(chosen: ExperimentConfig, path: Path, theta: Theta, after: float
 class Commander:
     """Answers chosen mocap frames with made-up commands."""
 
-    def __init__(self, answer: Callable[[mocap_frame_t], valve_command_t | None]) -> None:
+    def __init__(self, answer: Callable[[mocap_frame_t], actuator_command_t | None]) -> None:
         self._answer = answer
 
     def attach(self, bus: Bus) -> None:
         def on_frame(frame: mocap_frame_t) -> None:
             message = self._answer(frame)
             if message is not None:
-                bus.publish(channels.VALVE_COMMAND, message)
+                bus.publish(channels.ACTUATOR_COMMAND, message)
 
         bus.subscribe(channels.MOCAP, on_frame)
 
 
-def command(onset_utime: int, theta: Theta = Theta(0.0, 0.3)) -> valve_command_t:  # noqa: B008 (immutable)
+def command(onset_utime: int, theta: Theta = Theta(0.0, 0.3)) -> actuator_command_t:  # noqa: B008 (immutable)
     return MotionTemplate().commands(theta, onset_utime).to_message(0, 1)
 
 

@@ -17,7 +17,7 @@ from imolo.config.simulation import EightPressures, PneumaticsConfig
 from imolo.errors import BackendError, ImoloError, MessageError
 from imolo.method.commands import Commands, to_microseconds
 from imolo_drivers.valve_io import NUM_VALVES, SUPPLY_PRESSURE, IioConfig, ValveIO
-from imolo_msgs import board_state_t, valve_command_t
+from imolo_msgs import actuator_command_t, board_state_t
 
 VENTED_PRESSURE = (0.0,) * NUM_VALVES
 NEVER = 2**62  # [µs]
@@ -167,7 +167,7 @@ class Board:
         """Note a frame of the controller; it shows that the link is there, and feeds no motion."""
         self._heard = utime
 
-    def command(self, message: valve_command_t, utime: int) -> None:
+    def command(self, message: actuator_command_t, utime: int) -> None:
         """Follow commands from now on; the newest ones win.
 
         Raises:
@@ -220,7 +220,7 @@ class Board:
         message.armed_session = self.session if self.state is BoardState.ARMED else 0
         return message
 
-    def _check(self, message: valve_command_t, utime: int) -> Commands:
+    def _check(self, message: actuator_command_t, utime: int) -> Commands:
         if self.state is not BoardState.ARMED:
             raise RefusedError(RefusalCode.NOT_ARMED, f"the board is {self.state.name.lower()}: {self.cause}")
         newest = self._message.accepted_sequence

@@ -13,13 +13,13 @@ from imolo_drivers.framing import VERSION, Frame, FrameDecoder, FrameError, Fram
 from imolo_drivers.handshake import ClientRole, make_hello
 from imolo_drivers.valve_io import NUM_VALVES
 from imolo_msgs import (
+    actuator_command_t,
     board_arm_t,
     board_clock_t,
     board_refusal_t,
     board_state_t,
     board_trial_t,
     board_welcome_t,
-    valve_command_t,
 )
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0  # [s] between two attempts to connect, doubled from one to the next
@@ -153,7 +153,7 @@ class BoardClient:
         """Vent and disarm."""
         self._ask_to_arm(0, 0, person)
 
-    def command(self, message: valve_command_t) -> None:
+    def command(self, message: actuator_command_t) -> None:
         """Send commands, their times on the board's clock."""
         self._send(message)
 

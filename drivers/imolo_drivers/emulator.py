@@ -33,7 +33,7 @@ from imolo_drivers.natnet.messages import (
 )
 from imolo_drivers.natnet.server import NatNetServer
 from imolo_drivers.valve_io import NUM_VALVES
-from imolo_msgs import board_trial_t, marker_t, mocap_frame_t, trial_event_t, valve_pressure_t
+from imolo_msgs import actuator_state_t, board_trial_t, marker_t, mocap_frame_t, trial_event_t
 
 logger = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class EmulatedValves:
             catch_up: Lets the simulation run until now.
         """
         self._backend, self._bus, self._catch_up = backend, bus, catch_up
-        bus.subscribe(channels.VALVE_PRESSURE, self._measure)
+        bus.subscribe(channels.ACTUATOR_STATE, self._measure)
         self._tell()
 
     def write(self, pressure: Sequence[float]) -> None:
@@ -92,11 +92,11 @@ class EmulatedValves:
         self._sequence += 1
         now = self._backend.utime
         commands = Commands(now, (now + FOREVER,), np.array([self._given]))
-        self._bus.publish(channels.VALVE_COMMAND, commands.to_message(now, self._sequence))
+        self._bus.publish(channels.ACTUATOR_COMMAND, commands.to_message(now, self._sequence))
         self._bus.drain()
 
-    def _measure(self, message: valve_pressure_t) -> None:
-        self._measured = message.pressure
+    def _measure(self, message: actuator_state_t) -> None:
+        self._measured = message.measured
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ class EmulatedRobot:
 
     def _tell_truth(self, event: trial_event_t) -> None:
         """Print what only a simulation knows, to be held against what the cameras tell."""
-        if event.event in (EventName.HIT, EventName.BALL_LANDED):
+        if event.event in (EventName.TOUCH, EventName.BALL_LANDED):
             self._say(f"in truth: {event.event} at {event.utime * 1e-6:.3f} s, {event.detail}")
 
     def _show(self, message: mocap_frame_t) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from imolo.errors import ImoloError
 from imolo_msgs import (
+    actuator_command_t,
     board_arm_t,
     board_clock_t,
     board_hello_t,
@@ -15,7 +16,6 @@ from imolo_msgs import (
     board_state_t,
     board_trial_t,
     board_welcome_t,
-    valve_command_t,
 )
 
 VERSION = 1
@@ -45,7 +45,7 @@ PAYLOADS: dict[FrameType, type[Any]] = {
     FrameType.WELCOME: board_welcome_t,
     FrameType.REFUSAL: board_refusal_t,
     FrameType.ARM: board_arm_t,
-    FrameType.COMMAND: valve_command_t,
+    FrameType.COMMAND: actuator_command_t,
     FrameType.STATE: board_state_t,
     FrameType.CLOCK: board_clock_t,
     FrameType.TRIAL: board_trial_t,

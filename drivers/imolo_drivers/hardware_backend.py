@@ -40,7 +40,7 @@ from imolo_drivers.natnet.client import NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.markers import Labels, find_labels, mocap_frame
 from imolo_drivers.natnet.messages import Frame
-from imolo_msgs import board_state_t, mocap_frame_t, trial_event_t, valve_command_t, valve_pressure_t
+from imolo_msgs import actuator_command_t, actuator_state_t, board_state_t, mocap_frame_t, trial_event_t
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class HardwareBackend:
         self._guard = MarkerGuard(options.markers)
         self._wrong_labels = False
         self._detector = HitDetector(options.hits, config.tracker, self._body)
-        self._pressure = valve_pressure_t()
+        self._pressure = actuator_state_t()
         self._asked = self._heard_board = 0
         self._newest_frame = self._newest_state = 0
         self._first_state = -1
@@ -133,7 +133,7 @@ class HardwareBackend:
         except BaseException:
             self.close()
             raise
-        bus.subscribe(channels.VALVE_COMMAND, self._on_command)
+        bus.subscribe(channels.ACTUATOR_COMMAND, self._on_command)
         self._begin = self._heard_board = monotonic_utime()
 
     def advance(self, until_utime: int) -> None:
@@ -272,9 +272,10 @@ class HardwareBackend:
                 self._first_state = state.state_number
             pressure = self._pressure
             pressure.utime = utime
-            pressure.pressure_sequence = state.state_number - self._first_state + 1
-            pressure.pressure = list(state.measured_pressure)
-            self._bus.publish(channels.VALVE_PRESSURE, pressure)
+            pressure.state_sequence = state.state_number - self._first_state + 1
+            pressure.num_measured = len(state.measured_pressure)
+            pressure.measured = list(state.measured_pressure)
+            self._bus.publish(channels.ACTUATOR_STATE, pressure)
         if state.started_utime and self._onset is not None:
             started = state.started_utime - self._shift(board)
             late = f"{started - self._onset} us after the commanded onset"
@@ -329,7 +330,7 @@ class HardwareBackend:
                 place = np.array(marker.marker_position)
                 self._announce_once(EventName.ROBOT_LANDED, frame.utime, place, f"marker {marker.marker_id}")
 
-    def _on_command(self, message: valve_command_t) -> None:
+    def _on_command(self, message: actuator_command_t) -> None:
         """Send commands to the board, on its clock."""
         board, _ = self._links()
         shift = self._shift(board)

@@ -67,7 +67,7 @@ class BallEvent:
         detail: How it is known.
     """
 
-    name: Literal[EventName.THROW, EventName.HIT, EventName.BALL_LANDED]
+    name: Literal[EventName.THROW, EventName.TOUCH, EventName.BALL_LANDED]
     utime: int
     position: Array
     detail: str
@@ -203,7 +203,7 @@ class HitDetector:
             return BallEvent(EventName.BALL_LANDED, utime, place, f"on {surface}, {change}")
         if after is not None and distance <= config.reach:
             detail = f"marker {arm}, {1e3 * distance:.0f} mm from the middle of the arm, {change}"
-            return BallEvent(EventName.HIT, utime, place, detail)
+            return BallEvent(EventName.TOUCH, utime, place, detail)
         logger.info("the ball left its flight at %d us, %.2f m from the nearest arm: %s", utime, distance, change)
         return None
 

@@ -81,7 +81,7 @@ def _draw_paths(row: Sequence[Axes], logs: Sequence[Log], config: ExperimentConf
     for log in logs:
         times = {event.event: event.utime * 1e-6 for event in log.messages[channels.TRIAL]}
         plan = last_plan(log)
-        hit = times.get(EventName.HIT) if plan is not None else None
+        hit = times.get(EventName.TOUCH) if plan is not None else None
         end = hit if hit is not None else times.get(EventName.BALL_LANDED, np.inf)
         color = MISS_COLOR if hit is None else "#333333"
         states = [s for s in log.messages[channels.BALL_STATE] if s.utime * 1e-6 <= end]
@@ -122,7 +122,7 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
         widths = np.linspace(3.4, 0.9, len(named))
         for color, width, (name, config) in zip(COLORS, widths, named.items(), strict=False):
             log = read_log(learning_tasks(config, folder.learning(name))[-1].log_path)
-            commands = Commands.from_message(log.messages[channels.VALVE_COMMAND][-1], valves)
+            commands = Commands.from_message(log.messages[channels.ACTUATOR_COMMAND][-1], valves)
             _draw_channels(grid.ravel().tolist(), valves, scale, log, commands, color=color, lw=width, label=name)
         theta = first.training.motions[-1]
         grid[-1, min(1, columns - 1)].legend(fontsize=8)
@@ -137,9 +137,9 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
 def _draw_channels(
     panels: Sequence[Axes], names: Sequence[Channel], scale: float, log: Log, commands: Commands, **line: Any
 ) -> None:
-    messages = log.messages[channels.VALVE_PRESSURE]
+    messages = log.messages[channels.ACTUATOR_STATE]
     time = np.array([m.utime for m in messages])
-    pressure = np.array([m.pressure for m in messages]) * scale
+    pressure = np.array([m.measured for m in messages]) * scale
     since = (time - commands.onset_utime) * 1e-6
     shown = since >= -0.05
     nothing = np.full(len(names), np.nan)

@@ -73,7 +73,7 @@ class SimulationConfig(Model):
     """Everything around the rigid bodies; a hardware backend does not read it."""
 
     timestep: Annotated[float, Field(gt=0, le=5e-3)] = Field(1e-4, description="of the engine [s], Sec. VI")
-    sensor_rate: Positive = Field(1000.0, description="of the actuators' sensors, VALVE_PRESSURE [Hz]")
+    sensor_rate: Positive = Field(1000.0, description="of the actuators' sensors, ACTUATOR_STATE [Hz]")
     truth_rate: Positive = Field(
         240.0, description="of TRUTH_ROBOT and TRUTH_BALL [Hz]; at 120 Hz every mocap frame has its truth"
     )

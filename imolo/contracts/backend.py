@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Backend(Protocol):
-    """Publishes MOCAP, VALVE_PRESSURE and TRIAL events, and executes VALVE_COMMAND; one instance per trial."""
+    """Publishes MOCAP, ACTUATOR_STATE and TRIAL events, and executes ACTUATOR_COMMAND; one instance per trial."""
 
     @property
     def utime(self) -> int:

@@ -20,7 +20,13 @@ class Controller(Protocol):
 
 
 class Planner(Controller, Protocol):
-    """A controller that is kept over trials: it begins anew when TRIAL says that one starts."""
+    """A controller that is kept over trials: it begins anew when TRIAL says that one starts.
+
+    Attributes:
+        commander: Instance of the program it runs in, to be said in every command; 0 where it is alone.
+    """
+
+    commander: int
 
     def warm_up(self) -> None:
         """Load and compile what takes seconds at first; a robot in real time cannot wait for it."""

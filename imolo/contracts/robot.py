@@ -211,7 +211,7 @@ class Body:
                 degrees = np.degrees([value, low, high])
                 raise BackendError(
                     f"{name} cannot start at {degrees[0]:.3f}°; its range is "
-                    f"{degrees[1]:.0f}..{degrees[2]:.0f}°. Where the ready pose is at the end of the range, offset it inwards"
+                    f"{degrees[1]:.0f}..{degrees[2]:.0f}°; a pose at the end of the range is offset inwards"
                 )
         position, quaternion = self.base(angle) if callable(self.base) else self.base
         return Scene(

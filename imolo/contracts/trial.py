@@ -37,7 +37,7 @@ class EventName(StrEnum):
     START = "start"
     THROW = "throw"
     ONSET = "onset"
-    HIT = "hit"  # an effector has touched the ball
+    TOUCH = "touch"  # an effector has touched the ball
     BALL_LANDED = "ball_landed"
     ROBOT_LANDED = "robot_landed"
     END = "end"

@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 # Title, field, factor to the unit shown, unit, whether the length of the difference is drawn in place of its elements.
 PANELS = (
     ("joint angles", "TRUTH_ROBOT.joint_angle", float(np.degrees(1.0)), "°", False),
-    ("right hand", "TRUTH_ROBOT.right_hand_position", 1e3, "mm", True),
+    ("right hand", "TRUTH_ROBOT.effector_position[0]", 1e3, "mm", True),
     ("ball", "TRUTH_BALL.true_ball_position", 1e3, "mm", True),
-    ("pressures", "VALVE_PRESSURE.pressure", 1e-3, "kPa", False),
+    ("pressures", "ACTUATOR_STATE.measured", 1e-3, "kPa", False),
 )
 FLOOR = 1e-6  # smallest difference drawn, in the units shown
 

@@ -125,12 +125,12 @@ def _sphere(position: Sequence[float], radius: float, color: Sequence[float], op
 
 
 def _trunk(truth: truth_robot_t) -> Json:
-    w, x, y, z = to_json(list(truth.trunk_quaternion))
+    w, x, y, z = to_json(list(truth.base_quaternion))
     transform = {
         "timestamp": _stamp(truth.utime),
         "parent_frame_id": WORLD,
         "child_frame_id": "trunk",
-        "translation": _point(truth.trunk_position),
+        "translation": _point(truth.base_position),
         "rotation": {"x": x, "y": y, "z": z, "w": w},
     }
     return {"transforms": [transform]}

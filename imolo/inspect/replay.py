@@ -15,7 +15,7 @@ from imolo.messaging.log import decode, read_log
 from imolo.messaging.log_file import LogEvent, read_events
 
 HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
-SAID = (channels.VALVE_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
+SAID = (channels.ACTUATOR_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
 
 
 def replay(log_path: Path, table_path: Path, method: str, config_path: Path | None) -> RunComparison:

@@ -11,8 +11,8 @@ from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogEvent
 
 SEQUENCE_FIELDS = {
-    channels.VALVE_COMMAND: "command_sequence",
-    channels.VALVE_PRESSURE: "pressure_sequence",
+    channels.ACTUATOR_COMMAND: "command_sequence",
+    channels.ACTUATOR_STATE: "state_sequence",
     channels.MOCAP: "frame_number",
     channels.PLAN: "answered_frame",
 }

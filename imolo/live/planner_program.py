@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.planner import Controller
+from imolo.contracts.planner import Planner
 from imolo.contracts.registry import PLANNERS
 from imolo.errors import ConfigError, did_you_mean
 from imolo.live.identity import Identity, Role, shared_sections
@@ -46,12 +46,12 @@ class _Inside(Bus):
 class PlannerProgram:
     """Hosts a planner on a bus of its own and carries messages between that and the network."""
 
-    def __init__(self, bus: Bus, controller: Controller, identity: Identity, console: Console) -> None:
+    def __init__(self, bus: Bus, controller: Planner, identity: Identity, console: Console) -> None:
         """Join the network.
 
         Args:
             bus: The network.
-            controller: The planner, or whatever commands the robot.
+            controller: The planner.
             identity: What this program is.
             console: Where to print.
         """
@@ -63,6 +63,7 @@ class PlannerProgram:
         self._paced = False
         self._said: list[Said] = []
         self._inside = _Inside(self._hear)
+        self._controller = controller
         controller.attach(self._inside)
         bus.subscribe_raw(self._on_request, channels.STEP_REQUEST)
         bus.subscribe_raw(self._on_event, channels.TRIAL)
@@ -113,6 +114,8 @@ class PlannerProgram:
             if request.paced and not self._paced:
                 self._console.say(f"real time; {claim_priority(PLANNER_PRIORITY)}")
             self._paced = bool(request.paced)
+            # In lock-step an answer says who gives it, and the log's bytes are those of a single process.
+            self._controller.commander = self._node.instance if self._paced else 0
             self._node.activity = "planning in " + ("real time" if self._paced else "lock-step")
             self._streams.begin_trial()
         return self._tell(request.asked.inner_channel, request.asked.inner_data)
@@ -137,7 +140,7 @@ class PlannerProgram:
             return ()
 
     def _hear(self, channel: str, data: bytes) -> None:
-        if self._paced and channel == channels.VALVE_COMMAND:
+        if self._paced and channel == channels.ACTUATOR_COMMAND:
             # Before its reasons, and before those who hear them are awake and in its way.
             self._bus.publish_raw(channel, data)
         else:

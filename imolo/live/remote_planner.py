@@ -27,9 +27,9 @@ from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
 from imolo.method.commands import Commands
 from imolo.trials.trial import SLICE
-from imolo_msgs import trial_event_t, valve_command_t
+from imolo_msgs import actuator_command_t, trial_event_t
 
-PLANNER_SAYS = (channels.VALVE_COMMAND, channels.BALL_STATE, channels.PLAN)
+PLANNER_SAYS = (channels.ACTUATOR_COMMAND, channels.BALL_STATE, channels.PLAN)
 UNANSWERED = 0.2  # [s] without an answer to any frame until a robot is vented, assumed: 24 frames
 VENTED = 0.3  # [s] that a trial goes on without its planner, so that its log shows the pressures fall
 _UTIME = struct.Struct(">8xq")  # behind the fingerprint
@@ -189,7 +189,7 @@ class RealtimePlanner(RemotePlanner):
         self._command = b""
         self._answered = 0.0
         self._sent: dict[int, float] = {}
-        bus.subscribe_newest(channels.VALVE_COMMAND, self._on_command, self._count_skipped)
+        bus.subscribe_newest(channels.ACTUATOR_COMMAND, self._on_command, self._count_skipped)
         for channel in (channels.BALL_STATE, channels.PLAN):
             bus.subscribe_raw(self._on_reason, channel)
 
@@ -263,7 +263,7 @@ class RealtimePlanner(RemotePlanner):
         self._inside.publish_raw(channel, data)
 
     def _count_skipped(self, data: bytes) -> None:
-        self.streams.count(channels.VALVE_COMMAND, data)
+        self.streams.count(channels.ACTUATOR_COMMAND, data)
 
     def _answers_a_frame(self, channel: str, data: bytes) -> bool:
         """Return whether a message can be read and belongs to this trial: every trial begins at 0 again."""
@@ -278,9 +278,9 @@ class RealtimePlanner(RemotePlanner):
         if not self._command or self._inside is None:
             self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
             return
-        sequence = valve_command_t.decode(self._command).command_sequence + 1
+        sequence = actuator_command_t.decode(self._command).command_sequence + 1
         released = np.array([[channel.released for channel in self._channels]])
         vent = Commands(utime - 1, (utime,), released).to_message(utime, sequence)
-        self._inside.publish(channels.VALVE_COMMAND, vent)
-        self._bus.publish(channels.VALVE_COMMAND, vent)
+        self._inside.publish(channels.ACTUATOR_COMMAND, vent)
+        self._bus.publish(channels.ACTUATOR_COMMAND, vent)
         self._console.say(f"{lost} at {utime * 1e-6:.3f} s; all valves vent")

@@ -10,7 +10,7 @@ from imolo.messaging import channels
 from imolo_msgs import trial_event_t
 
 # Where the number of a message is in its bytes: behind fingerprint and utime, 8 bytes each.
-NUMBERED = (channels.MOCAP, channels.VALVE_PRESSURE, channels.VALVE_COMMAND)
+NUMBERED = (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
 _NUMBER = struct.Struct(">i")
 _NUMBER_AT = 16
 FIRST = 1  # number of the first message of a trial

@@ -5,8 +5,9 @@ from typing import Any
 
 import imolo_msgs
 
-VALVE_COMMAND = "VALVE_COMMAND"
-VALVE_PRESSURE = "VALVE_PRESSURE"
+ACTUATOR_COMMAND = "ACTUATOR_COMMAND"
+ACTUATOR_STATE = "ACTUATOR_STATE"
+ROBOT = "ROBOT"
 MOCAP = "MOCAP"
 BALL_STATE = "BALL_STATE"
 PLAN = "PLAN"
@@ -42,8 +43,11 @@ def _by_name(*channels: Channel) -> dict[str, Channel]:
 
 
 STREAMS = _by_name(
-    Channel(VALVE_COMMAND, imolo_msgs.valve_command_t, "every mocap frame while a motion runs", "planner, trainer"),
-    Channel(VALVE_PRESSURE, imolo_msgs.valve_pressure_t, "1 kHz (config)", "backend"),
+    Channel(ROBOT, imolo_msgs.robot_t, "the start of every trial", "runner"),
+    Channel(
+        ACTUATOR_COMMAND, imolo_msgs.actuator_command_t, "every mocap frame while a motion runs", "planner, trainer"
+    ),
+    Channel(ACTUATOR_STATE, imolo_msgs.actuator_state_t, "1 kHz (config)", "backend"),
     Channel(MOCAP, imolo_msgs.mocap_frame_t, "120 Hz (config)", "backend"),
     Channel(BALL_STATE, imolo_msgs.ball_state_t, "every mocap frame with a flying ball", "planner"),
     Channel(PLAN, imolo_msgs.plan_t, "every mocap frame", "planner"),

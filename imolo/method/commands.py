@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imolo.contracts.actuators import Channel
 from imolo.errors import MessageError
-from imolo_msgs import valve_command_t
+from imolo_msgs import actuator_command_t
 
 Array = NDArray[np.float64]
 
@@ -111,24 +111,26 @@ class Commands:
             return mine is theirs and (utime < self.onset_utime) == (utime < other.onset_utime)
         return np.array_equal(mine, theirs)
 
-    def to_message(self, utime: int, command_sequence: int) -> valve_command_t:
+    def to_message(self, utime: int, command_sequence: int, commander: int = 0) -> actuator_command_t:
         """Return the message that carries these commands.
 
         Args:
             utime: Time of the mocap frame the commands answer [µs].
             command_sequence: Number of the message.
+            commander: Instance of the program that commands; 0 where there is but one.
         """
-        message = valve_command_t()
+        message = actuator_command_t()
         message.utime = utime
         message.command_sequence = command_sequence
         message.onset_utime = self.onset_utime
-        message.num_phases = len(self.switch_utime)
+        message.commander = commander
+        message.num_phases, message.num_targets = self.targets.shape
         message.switch_utime = list(self.switch_utime)
-        message.target_pressure = self.targets.tolist()
+        message.target = self.targets.tolist()
         return message
 
     @classmethod
-    def from_message(cls, message: valve_command_t, channels: Sequence[Channel]) -> Self:
+    def from_message(cls, message: actuator_command_t, channels: Sequence[Channel]) -> Self:
         """Read and check a message.
 
         Args:
@@ -138,21 +140,21 @@ class Commands:
         Raises:
             MessageError: A value cannot be used.
         """
-        for name in ("switch_utime", "target_pressure"):
+        for name in ("switch_utime", "target"):
             length = len(getattr(message, name))
             if length != message.num_phases:
                 raise MessageError(f"{name} has {length} entries; num_phases promises {message.num_phases}")
-        for phase, row in enumerate(message.target_pressure, start=1):
+        for phase, row in enumerate(message.target, start=1):
             if len(row) != len(channels):
                 raise MessageError(f"phase {phase} has {len(row)} targets; give {len(channels)}, one per channel")
-        commands = cls(message.onset_utime, tuple(message.switch_utime), np.array(message.target_pressure, dtype=float))
+        commands = cls(message.onset_utime, tuple(message.switch_utime), np.array(message.target, dtype=float))
         low, high = np.array([(channel.low, channel.high) for channel in channels]).T
         outside = (commands.targets < low) | (commands.targets > high)
         if outside.any():
             phase, index = np.argwhere(outside)[0]
             channel = channels[index]
             raise MessageError(
-                f"target of {channel.name!r} in phase {phase + 1} is {commands.targets[phase, index]:g} {channel.unit}; "
-                f"give {channel.low:g} to {channel.high:g} {channel.unit}"
+                f"target of {channel.name!r} in phase {phase + 1} is {commands.targets[phase, index]:g} "
+                f"{channel.unit}; give {channel.low:g} to {channel.high:g} {channel.unit}"
             )
         return commands

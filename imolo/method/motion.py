@@ -169,8 +169,8 @@ class PhasedMotion(MotionTemplate):
             ends = [one.name for one in self.varied if one.direction is None and one.phase == number]
             if (phase.until is None) != (len(ends) == 1):
                 raise ValueError(
-                    f"phase {number} ends at {phase.until} and by {ends or 'no parameter'}; give it one end, `until` or "
-                    "a parameter without direction"
+                    f"phase {number} ends at {phase.until} and by {ends or 'no parameter'}; give it one end, "
+                    "`until` or a parameter without direction"
                 )
         if self.phases[-1].until is None:
             raise ValueError("the last phase ends the motion; give it an `until`")

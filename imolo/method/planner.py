@@ -82,9 +82,12 @@ class Decision:
 
 
 class Planner:
-    """Listens to MOCAP and TRIAL, answers every frame with PLAN, and with VALVE_COMMAND while a motion runs.
+    """Listens to MOCAP and TRIAL, answers every frame with PLAN, and with ACTUATOR_COMMAND while a motion runs.
 
     It knows neither engine nor backend: all it has is the table, the ball model and the messages.
+
+    Attributes:
+        commander: Instance of the program it runs in, said in every command; 0 where it is alone.
     """
 
     def __init__(
@@ -117,6 +120,7 @@ class Planner:
         if config.choice == "probability":
             self._chooser = HitChooser(table.swings, table.template, config.hit, ball_model.time_step)
         self._on_decision = on_decision
+        self.commander = 0
         self._decision: Decision | None = None
         self._newest = -1
         self._detected = NEVER
@@ -222,7 +226,9 @@ class Planner:
         decision = self._decision
         if decision is not None:
             self._sequence += 1
-            self._bus.publish(channels.VALVE_COMMAND, decision.commands.to_message(frame.utime, self._sequence))
+            self._bus.publish(
+                channels.ACTUATOR_COMMAND, decision.commands.to_message(frame.utime, self._sequence, self.commander)
+            )
         if estimate is not None and estimate.in_flight:
             self._bus.publish(channels.BALL_STATE, estimate.to_message())
         plan = plan_t()
@@ -232,12 +238,12 @@ class Planner:
         plan.prediction_step = self._ball_model.time_step
         plan.num_predictions = len(path)
         plan.predicted_position = path.tolist()
-        plan.hit_probability = NOT_KNOWN
+        plan.hit_probability, plan.effector = NOT_KNOWN, -1
         if decision is not None:
-            plan.theta = list(decision.theta)
+            plan.num_parameters, plan.theta = len(decision.theta), list(decision.theta)
             plan.plan_onset_utime = decision.commands.onset_utime
             plan.hit_utime = decision.hit_utime
-            plan.hitting_hand = decision.side
+            plan.effector = 0 if decision.side > 0 else 1
             plan.hit_probability = decision.probability
             plan.target_position = decision.target.tolist()
         self._bus.publish(channels.PLAN, plan)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imolo.errors import TableFileError
 
 FORMAT = "imolo-table"
-VERSION = 2  # 1 lacked hand_std
+VERSION = 3  # 1 lacked hand_std; 2 knew theta = (k, t_w) alone
 
 # What zipfile, zlib and numpy raise on bytes that are not what they should be.
 _DAMAGE = (

@@ -241,6 +241,7 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
                     "method": trial.method,
                     "number": trial.result.trial,
                     "outcome": trial.result.outcome,
+                    "success": trial.result.hit,
                     "path": _relative(trial.log_path, out),
                     "voxel": config.methods[trial.method].grid.spacing,
                     **trial_tracks(log, body_of(config.robot)),

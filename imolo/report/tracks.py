@@ -39,22 +39,22 @@ def trial_tracks(log: Log, body: Body) -> Packed:
         are packed by `pack`. `hand` is the one that was to hit the ball in the end.
     """
     plan = last_plan(log)
-    side = -1 if plan is not None and plan.hitting_hand < 0 else 1
+    effector = 0 if plan is None else max(plan.effector, 0)
     events = [[round(event.utime * 1e-6, 6), event.event] for event in log.messages[channels.TRIAL]]
     tracks: Packed = {"events": events}
     truth = thinned(log.messages[channels.TRUTH_ROBOT], RATE)
     if truth:
         tracks["robot"] = {
             "time": pack(_times(truth)),
-            "position": pack([message.trunk_position for message in truth]),
-            "turn": pack(_continuous(np.array([message.trunk_quaternion for message in truth]))),
+            "position": pack([message.base_position for message in truth]),
+            "turn": pack(_continuous(np.array([message.base_quaternion for message in truth]))),
             "angle": pack([message.joint_angle for message in truth]),
         }
-        hands = [t.right_hand_position if side == 1 else t.left_hand_position for t in truth]
+        hands = [message.effector_position[effector] for message in truth]
         tracks["hand"] = {"time": pack(_times(truth)), "position": pack(hands)}
     elif log.messages[channels.MOCAP]:
         tracks["markers"] = _markers(log)
-        seen, hand = marker_track(log, body.effector_marker(0 if side == 1 else 1))
+        seen, hand = marker_track(log, body.effector_marker(effector))
         if len(seen):
             tracks["hand"] = {"time": pack(seen), "position": pack(hand)}
     ball = _ball(log)
@@ -115,7 +115,7 @@ def _ball(log: Log) -> Packed | None:
         return {"time": pack(_times(truth)), "position": pack([message.true_ball_position for message in truth])}
     seen = thinned(log.messages[channels.BALL_STATE], RATE)
     # An estimate from before the throw or after the landing would be drawn as a ball that is not there.
-    ends = [e.utime for e in log.messages[channels.TRIAL] if e.event in (EventName.BALL_LANDED, EventName.HIT)]
+    ends = [e.utime for e in log.messages[channels.TRIAL] if e.event in (EventName.BALL_LANDED, EventName.TOUCH)]
     seen = [state for state in seen if not ends or state.utime <= ends[-1]]
     if not seen:
         return None

@@ -194,10 +194,7 @@ def attribute(
 def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":
     from imolo.config.loading import config_for, load_config
 
-    if text.endswith((".yaml", ".yml")):
-        config = load_config(Path(text))
-    else:
-        config = config_for(text)
+    config = load_config(Path(text)) if text.endswith((".yaml", ".yml")) else config_for(text)
     if motions is None:
         return config
     training = config.training.model_copy(update={"motions": config.training.motions[:motions]})

@@ -11,7 +11,7 @@ from imolo.messaging.log import Log
 from imolo.tasks.thrower import drag_of, draw_throw
 from imolo_msgs import trial_event_t
 
-ENDS = (EventName.HIT, EventName.BALL_LANDED)
+ENDS = (EventName.TOUCH, EventName.BALL_LANDED)
 
 
 class HitOptions(Model):
@@ -45,7 +45,7 @@ class HitTask:
 
     def judge(self, log: Log, onset_utime: int) -> Verdict:
         """Return whether an effector touched the ball; one that flies against the resting robot was not hit by it."""
-        touches = [event for event in log.messages[channels.TRIAL] if event.event == EventName.HIT]
+        touches = [event for event in log.messages[channels.TRIAL] if event.event == EventName.TOUCH]
         return Verdict(any(event.utime >= onset_utime for event in touches))
 
 

@@ -125,7 +125,7 @@ def throw_position(log: Log, config: ExperimentConfig) -> int | None:
 
 
 def _end(log: Log) -> int | None:
-    ends = (EventName.HIT, EventName.BALL_LANDED)
+    ends = (EventName.TOUCH, EventName.BALL_LANDED)
     return next((event.utime for event in log.messages[channels.TRIAL] if event.event in ends), None)
 
 
@@ -161,7 +161,7 @@ def _start_delay(log: Log, plan: plan_t) -> float:
     """Return how much later than planned the motion began [s]: by its event, or by the first command on the bus."""
     onset = next((event.utime for event in log.messages[channels.TRIAL] if event.event == EventName.ONSET), None)
     if onset is None:
-        onset = next(iter(log.received[channels.VALVE_COMMAND]), plan.plan_onset_utime)
+        onset = next(iter(log.received[channels.ACTUATOR_COMMAND]), plan.plan_onset_utime)
     return float(onset - plan.plan_onset_utime) * 1e-6
 
 

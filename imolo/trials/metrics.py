@@ -224,7 +224,7 @@ def _by_position(trials: Sequence[TrialResult]) -> tuple[PositionResult, ...]:
 
 
 def _hand_error(log: Log, plan: plan_t, config: ExperimentConfig) -> float | None:
-    marker = body_of(config.robot).effector_marker(1 if plan.hitting_hand < 0 else 0)
+    marker = body_of(config.robot).effector_marker(max(plan.effector, 0))
     hand = hand_at(log, marker, plan.hit_utime * 1e-6)
     return None if hand is None else float(np.linalg.norm(hand - np.array(plan.target_position)))
 

@@ -81,7 +81,7 @@ def hand_samples(log: Log, config: ExperimentConfig) -> TrainingData:
     if not swing.any():
         raise TrainingDataError(
             f"{log.path}: marker {body.learning_marker} ({body.effectors[0].name}) was not seen "
-            f"{training.sampled_from} to {training.sampled_to} s after the start of the swing; do the cameras label it so?"
+            f"{training.sampled_from} to {training.sampled_to} s after the start of the swing; is it labelled so?"
         )
     return TrainingData(np.tile(plan.theta, (int(swing.sum()), 1)), time[swing], position[swing])
 

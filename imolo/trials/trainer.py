@@ -37,12 +37,13 @@ class MotionPlayer:
         if self._commands is None:
             self._commands = self._template.commands(self._theta, frame.utime + to_microseconds(ONSET_DELAY))
         self._sequence += 1
-        self._bus.publish(channels.VALVE_COMMAND, self._commands.to_message(frame.utime, self._sequence))
+        self._bus.publish(channels.ACTUATOR_COMMAND, self._commands.to_message(frame.utime, self._sequence))
         plan = plan_t()
         plan.utime = frame.utime
         plan.answered_frame = frame.frame_number
         plan.state = plan_t.STARTED if self._sequence == 1 else plan_t.KEPT
-        plan.theta = list(self._theta)
+        plan.num_parameters, plan.theta = len(self._theta), list(self._theta)
+        plan.effector = 0
         plan.plan_onset_utime = self._commands.onset_utime
         plan.hit_utime = self._commands.onset_utime + to_microseconds(self._template.swing_of(self._theta))
         self._bus.publish(channels.PLAN, plan)

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.config.loading import create_backend, create_task
+from imolo.config.loading import body_of, create_backend, create_task
 from imolo.contracts.planner import Controller
 from imolo.contracts.trial import EventName, Trial
 from imolo.errors import TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder
-from imolo_msgs import trial_event_t
+from imolo_msgs import robot_t, trial_event_t
 
 SLICE = 1000  # [µs] between two looks at the bus; commands take effect no later than this after their frame
 
@@ -65,6 +65,7 @@ def run_trial(
         controller.attach(bus)
         backend.start(bus, trial)
         try:
+            bus.publish(channels.ROBOT, describe_robot(config, backend.utime))
             bus.publish(channels.TRIAL, _event(config, trial, EventName.START, backend.utime))
             bus.drain()
             while backend.utime < end:
@@ -86,6 +87,33 @@ def run_trial(
             backend.close()
             bus.close()
     return backend.utime * 1e-6
+
+
+def describe_robot(config: ExperimentConfig, utime: int) -> robot_t:
+    """Return what the numbers of the messages mean with the robot of a config."""
+    body = body_of(config.robot)
+    actuators, parameters = config.simulation.actuators.channels, config.motion.parameters
+    message = robot_t()
+    message.utime = utime
+    message.robot_name, message.task_name = config.robot.name, config.task.name
+    message.num_channels = len(actuators)
+    message.channel_name = [channel.name for channel in actuators]
+    message.channel_unit = [channel.unit for channel in actuators]
+    message.channel_low = [channel.low for channel in actuators]
+    message.channel_high = [channel.high for channel in actuators]
+    message.channel_rest = [channel.rest for channel in actuators]
+    message.channel_released = [channel.released for channel in actuators]
+    message.num_robot_joints, message.joint_name = len(body.joint_names), list(body.joint_names)
+    message.num_robot_parameters = len(parameters)
+    message.parameter_name = [parameter.name for parameter in parameters]
+    message.parameter_unit = [parameter.unit for parameter in parameters]
+    message.num_robot_effectors = len(body.effectors)
+    message.effector_name = [effector.name for effector in body.effectors]
+    message.effector_label = [body.effector_marker(index) for index in range(len(body.effectors))]
+    message.num_robot_markers = len(body.markers)
+    message.marker_label = [marker.marker_id for marker in body.markers]
+    message.marker_name = [marker.name for marker in body.markers]
+    return message
 
 
 def _event(config: ExperimentConfig, trial: Trial, name: EventName, utime: int) -> trial_event_t:

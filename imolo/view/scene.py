@@ -111,8 +111,8 @@ class SessionScene:
     def _show_robot(self, truth: truth_robot_t | None) -> None:
         if truth is None:
             return
-        self._trunk.position = np.array(truth.trunk_position)
-        self._trunk.wxyz = np.array(truth.trunk_quaternion)
+        self._trunk.position = np.array(truth.base_position)
+        self._trunk.wxyz = np.array(truth.base_quaternion)
         self._robot.update_cfg(np.array(truth.joint_angle)[self._order])
 
     def _show_ball(self, truth: truth_ball_t | None) -> None:

@@ -4,6 +4,8 @@ DO NOT MODIFY BY HAND!!!!
 lcm-gen 1.5.3
 """
 
+from .actuator_command_t import actuator_command_t as actuator_command_t
+from .actuator_state_t import actuator_state_t as actuator_state_t
 from .ball_state_t import ball_state_t as ball_state_t
 from .board_arm_t import board_arm_t as board_arm_t
 from .board_clock_t import board_clock_t as board_clock_t
@@ -17,6 +19,7 @@ from .heartbeat_t import heartbeat_t as heartbeat_t
 from .marker_t import marker_t as marker_t
 from .mocap_frame_t import mocap_frame_t as mocap_frame_t
 from .plan_t import plan_t as plan_t
+from .robot_t import robot_t as robot_t
 from .step_answer_t import step_answer_t as step_answer_t
 from .step_request_t import step_request_t as step_request_t
 from .throw_report_t import throw_report_t as throw_report_t
@@ -24,5 +27,3 @@ from .throw_request_t import throw_request_t as throw_request_t
 from .trial_event_t import trial_event_t as trial_event_t
 from .truth_ball_t import truth_ball_t as truth_ball_t
 from .truth_robot_t import truth_robot_t as truth_robot_t
-from .valve_command_t import valve_command_t as valve_command_t
-from .valve_pressure_t import valve_pressure_t as valve_pressure_t

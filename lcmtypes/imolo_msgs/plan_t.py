@@ -10,11 +10,11 @@ import struct
 class plan_t(object):
     """ Why the planner does what it does. """
 
-    __slots__ = ["utime", "answered_frame", "state", "theta", "plan_onset_utime", "hit_utime", "hit_probability", "hitting_hand", "target_position", "prediction_step", "num_predictions", "predicted_position"]
+    __slots__ = ["utime", "answered_frame", "state", "num_parameters", "theta", "plan_onset_utime", "hit_utime", "hit_probability", "effector", "target_position", "prediction_step", "num_predictions", "predicted_position"]
 
-    __typenames__ = ["int64_t", "int32_t", "int8_t", "double", "int64_t", "int64_t", "double", "int8_t", "double", "double", "int32_t", "float"]
+    __typenames__ = ["int64_t", "int32_t", "int8_t", "int32_t", "double", "int64_t", "int64_t", "double", "int32_t", "double", "double", "int32_t", "float"]
 
-    __dimensions__ = [None, None, None, [2], None, None, None, None, [3], None, None, ["num_predictions", 3]]
+    __dimensions__ = [None, None, None, None, ["num_parameters"], None, None, None, None, [3], None, None, ["num_predictions", 3]]
 
     WAITING = 0
     TRACKING = 1
@@ -37,12 +37,14 @@ class plan_t(object):
         LCM Type: int8_t
         """
 
-        self.theta = [ 0.0 for dim0 in range(2) ]
+        self.num_parameters = 0
         """
-        Motion parameter theta = (k [-], t_w [s]) (Eq. 3); zero until a motion has started.
-        LCM Type: double[2]
+        Motion parameter (paper Eq. 3), named and with units in robot_t; empty until a motion has started.
+        LCM Type: int32_t
         """
 
+        self.theta = []
+        """ LCM Type: double[num_parameters] """
         self.plan_onset_utime = 0
         """
         Start of the motion [us]; zero until one has started.
@@ -51,25 +53,25 @@ class plan_t(object):
 
         self.hit_utime = 0
         """
-        When the hand is to be at the target [us].
+        When the effector is to be at the target [us].
         LCM Type: int64_t
         """
 
         self.hit_probability = 0.0
         """
-        Probability that a hand hits, as the planner sees it [-]; -1 until a motion has started and where it does not choose by it.
+        Probability that an effector meets the ball, as the planner sees it [-]; -1 until a motion has started and where it does not choose by it.
         LCM Type: double
         """
 
-        self.hitting_hand = 0
+        self.effector = 0
         """
-        The hand that is to hit: 1 the one of the config (robot.hand_marker), -1 the other one; 0 until a motion has started.
-        LCM Type: int8_t
+        Which effector of robot_t is to meet the ball; -1 until a motion has started.
+        LCM Type: int32_t
         """
 
         self.target_position = [ 0.0 for dim0 in range(3) ]
         """
-        Grid point the hand is to reach, world frame [m].
+        Grid point the effector is to reach, world frame [m].
         LCM Type: double[3]
         """
 
@@ -95,9 +97,9 @@ class plan_t(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">qib", self.utime, self.answered_frame, self.state))
-        buf.write(struct.pack('>2d', *self.theta[:2]))
-        buf.write(struct.pack(">qqdb", self.plan_onset_utime, self.hit_utime, self.hit_probability, self.hitting_hand))
+        buf.write(struct.pack(">qibi", self.utime, self.answered_frame, self.state, self.num_parameters))
+        buf.write(struct.pack('>%dd' % self.num_parameters, *self.theta[:self.num_parameters]))
+        buf.write(struct.pack(">qqdi", self.plan_onset_utime, self.hit_utime, self.hit_probability, self.effector))
         buf.write(struct.pack('>3d', *self.target_position[:3]))
         buf.write(struct.pack(">di", self.prediction_step, self.num_predictions))
         for i0 in range(self.num_predictions):
@@ -116,9 +118,9 @@ class plan_t(object):
     @staticmethod
     def _decode_one(buf):
         self = plan_t()
-        self.utime, self.answered_frame, self.state = struct.unpack(">qib", buf.read(13))
-        self.theta = struct.unpack('>2d', buf.read(16))
-        self.plan_onset_utime, self.hit_utime, self.hit_probability, self.hitting_hand = struct.unpack(">qqdb", buf.read(25))
+        self.utime, self.answered_frame, self.state, self.num_parameters = struct.unpack(">qibi", buf.read(17))
+        self.theta = struct.unpack('>%dd' % self.num_parameters, buf.read(self.num_parameters * 8))
+        self.plan_onset_utime, self.hit_utime, self.hit_probability, self.effector = struct.unpack(">qqdi", buf.read(28))
         self.target_position = struct.unpack('>3d', buf.read(24))
         self.prediction_step, self.num_predictions = struct.unpack(">di", buf.read(12))
         self.predicted_position = []
@@ -129,7 +131,7 @@ class plan_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if plan_t in parents: return 0
-        tmphash = (0x35b348164a339d49) & 0xffffffffffffffff
+        tmphash = (0xae9ed7d8e073ade0) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

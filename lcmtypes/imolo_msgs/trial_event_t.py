@@ -10,11 +10,11 @@ import struct
 class trial_event_t(object):
     """ What happens in a trial, from its start to its end. """
 
-    __slots__ = ["utime", "trial", "event", "robot", "backend", "event_position", "detail"]
+    __slots__ = ["utime", "trial", "event", "robot", "backend", "event_position", "touched", "detail"]
 
-    __typenames__ = ["int64_t", "int32_t", "string", "string", "string", "double", "string"]
+    __typenames__ = ["int64_t", "int32_t", "string", "string", "string", "double", "string", "string"]
 
-    __dimensions__ = [None, None, None, None, None, [3], None]
+    __dimensions__ = [None, None, None, None, None, [3], None, None]
 
     def __init__(self):
         self.utime = 0
@@ -27,7 +27,7 @@ class trial_event_t(object):
         """ LCM Type: int32_t """
         self.event = ""
         """
-        One of: start, throw, onset, hit, ball_landed, robot_landed, end.
+        One of: start, throw, onset, touch, ball_landed, robot_landed, end.
         LCM Type: string
         """
 
@@ -43,6 +43,12 @@ class trial_event_t(object):
         """
         Where it happened, world frame [m]; zero where no place belongs to the event.
         LCM Type: double[3]
+        """
+
+        self.touched = ""
+        """
+        Link of the robot that has touched the ball, or what it has landed on; empty where nothing was touched.
+        LCM Type: string
         """
 
         self.detail = ""
@@ -69,6 +75,10 @@ class trial_event_t(object):
         buf.write(__backend_encoded)
         buf.write(b"\0")
         buf.write(struct.pack('>3d', *self.event_position[:3]))
+        __touched_encoded = self.touched.encode('utf-8')
+        buf.write(struct.pack('>I', len(__touched_encoded)+1))
+        buf.write(__touched_encoded)
+        buf.write(b"\0")
         __detail_encoded = self.detail.encode('utf-8')
         buf.write(struct.pack('>I', len(__detail_encoded)+1))
         buf.write(__detail_encoded)
@@ -95,6 +105,8 @@ class trial_event_t(object):
         __backend_len = struct.unpack('>I', buf.read(4))[0]
         self.backend = buf.read(__backend_len)[:-1].decode('utf-8', 'replace')
         self.event_position = struct.unpack('>3d', buf.read(24))
+        __touched_len = struct.unpack('>I', buf.read(4))[0]
+        self.touched = buf.read(__touched_len)[:-1].decode('utf-8', 'replace')
         __detail_len = struct.unpack('>I', buf.read(4))[0]
         self.detail = buf.read(__detail_len)[:-1].decode('utf-8', 'replace')
         return self
@@ -102,7 +114,7 @@ class trial_event_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if trial_event_t in parents: return 0
-        tmphash = (0xc2ec57f6e19e4bdb) & 0xffffffffffffffff
+        tmphash = (0x778c1dbf1901e952) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

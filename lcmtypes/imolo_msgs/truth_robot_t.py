@@ -8,13 +8,13 @@ from io import BytesIO
 import struct
 
 class truth_robot_t(object):
-    """ Exact state of the simulated robot; the planner never subscribes to it. """
+    """ Exact state of the simulated robot; the planner never subscribes to it. robot_t names joints and effectors. """
 
-    __slots__ = ["utime", "trunk_position", "trunk_quaternion", "joint_angle", "joint_velocity", "right_hand_position", "left_hand_position"]
+    __slots__ = ["utime", "base_position", "base_quaternion", "num_joints", "joint_angle", "joint_velocity", "num_effectors", "effector_position"]
 
-    __typenames__ = ["int64_t", "double", "double", "double", "double", "double", "double"]
+    __typenames__ = ["int64_t", "double", "double", "int32_t", "double", "double", "int32_t", "double"]
 
-    __dimensions__ = [None, [3], [4], [8], [8], [3], [3]]
+    __dimensions__ = [None, [3], [4], None, ["num_joints"], ["num_joints"], None, ["num_effectors", 3]]
 
     def __init__(self):
         self.utime = 0
@@ -23,40 +23,38 @@ class truth_robot_t(object):
         LCM Type: int64_t
         """
 
-        self.trunk_position = [ 0.0 for dim0 in range(3) ]
+        self.base_position = [ 0.0 for dim0 in range(3) ]
         """
-        Origin of the trunk, world frame [m].
+        Origin of the base link, world frame [m].
         LCM Type: double[3]
         """
 
-        self.trunk_quaternion = [ 0.0 for dim0 in range(4) ]
+        self.base_quaternion = [ 0.0 for dim0 in range(4) ]
         """
-        Rotation of the trunk as a quaternion w, x, y, z [-].
+        Rotation of the base link as a quaternion w, x, y, z [-].
         LCM Type: double[4]
         """
 
-        self.joint_angle = [ 0.0 for dim0 in range(8) ]
+        self.num_joints = 0
+        """ LCM Type: int32_t """
+        self.joint_angle = []
         """
-        Joints in the order of imolo_backends.liberobot.JOINT_NAMES [rad].
-        LCM Type: double[8]
-        """
-
-        self.joint_velocity = [ 0.0 for dim0 in range(8) ]
-        """
-        In the same order [rad/s].
-        LCM Type: double[8]
+        [rad].
+        LCM Type: double[num_joints]
         """
 
-        self.right_hand_position = [ 0.0 for dim0 in range(3) ]
+        self.joint_velocity = []
         """
-        Centre of the right plate, world frame [m].
-        LCM Type: double[3]
+        [rad/s].
+        LCM Type: double[num_joints]
         """
 
-        self.left_hand_position = [ 0.0 for dim0 in range(3) ]
+        self.num_effectors = 0
+        """ LCM Type: int32_t """
+        self.effector_position = []
         """
-        Centre of the left plate, world frame [m].
-        LCM Type: double[3]
+        Middle of each effector, world frame [m].
+        LCM Type: double[num_effectors][3]
         """
 
 
@@ -68,12 +66,14 @@ class truth_robot_t(object):
 
     def _encode_one(self, buf):
         buf.write(struct.pack(">q", self.utime))
-        buf.write(struct.pack('>3d', *self.trunk_position[:3]))
-        buf.write(struct.pack('>4d', *self.trunk_quaternion[:4]))
-        buf.write(struct.pack('>8d', *self.joint_angle[:8]))
-        buf.write(struct.pack('>8d', *self.joint_velocity[:8]))
-        buf.write(struct.pack('>3d', *self.right_hand_position[:3]))
-        buf.write(struct.pack('>3d', *self.left_hand_position[:3]))
+        buf.write(struct.pack('>3d', *self.base_position[:3]))
+        buf.write(struct.pack('>4d', *self.base_quaternion[:4]))
+        buf.write(struct.pack(">i", self.num_joints))
+        buf.write(struct.pack('>%dd' % self.num_joints, *self.joint_angle[:self.num_joints]))
+        buf.write(struct.pack('>%dd' % self.num_joints, *self.joint_velocity[:self.num_joints]))
+        buf.write(struct.pack(">i", self.num_effectors))
+        for i0 in range(self.num_effectors):
+            buf.write(struct.pack('>3d', *self.effector_position[i0][:3]))
 
     @staticmethod
     def decode(data: bytes):
@@ -89,18 +89,21 @@ class truth_robot_t(object):
     def _decode_one(buf):
         self = truth_robot_t()
         self.utime = struct.unpack(">q", buf.read(8))[0]
-        self.trunk_position = struct.unpack('>3d', buf.read(24))
-        self.trunk_quaternion = struct.unpack('>4d', buf.read(32))
-        self.joint_angle = struct.unpack('>8d', buf.read(64))
-        self.joint_velocity = struct.unpack('>8d', buf.read(64))
-        self.right_hand_position = struct.unpack('>3d', buf.read(24))
-        self.left_hand_position = struct.unpack('>3d', buf.read(24))
+        self.base_position = struct.unpack('>3d', buf.read(24))
+        self.base_quaternion = struct.unpack('>4d', buf.read(32))
+        self.num_joints = struct.unpack(">i", buf.read(4))[0]
+        self.joint_angle = struct.unpack('>%dd' % self.num_joints, buf.read(self.num_joints * 8))
+        self.joint_velocity = struct.unpack('>%dd' % self.num_joints, buf.read(self.num_joints * 8))
+        self.num_effectors = struct.unpack(">i", buf.read(4))[0]
+        self.effector_position = []
+        for i0 in range(self.num_effectors):
+            self.effector_position.append(struct.unpack('>3d', buf.read(24)))
         return self
 
     @staticmethod
     def _get_hash_recursive(parents):
         if truth_robot_t in parents: return 0
-        tmphash = (0x37d85a0f39b14003) & 0xffffffffffffffff
+        tmphash = (0x6b59333c3193251c) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

@@ -47,7 +47,7 @@ def hand(log: Log) -> np.ndarray:
 @pytest.mark.parametrize("theta", [Theta(0.0, 0.31), Theta(1.0, 0.41), Theta(-1.0, 0.21)])
 def test_robot_jumps_and_swings(backend: str, theta: Theta) -> None:
     truth = motion(backend, theta).messages[channels.TRUTH_ROBOT]
-    height = np.array([message.trunk_position[2] for message in truth])
+    height = np.array([message.base_position[2] for message in truth])
     shoulder = np.degrees([message.joint_angle[SHOULDERS] for message in truth])
     # Legs of 0.6 m that only stand up lift the trunk by less than 0.45 m from the crouch; the rest is a jump.
     assert height.max() - height[0] > 0.5
@@ -68,8 +68,8 @@ def test_k_leads_the_hand_sideways(backend: str) -> None:
 def test_mirrored_k_mirrors_the_trunk(backend: str) -> None:
     """The robot is symmetric, so +k and -k lean it equally far to either side."""
     one, other = (motion(backend, Theta(k, 0.31)).messages[channels.TRUTH_ROBOT] for k in (-0.5, 0.5))
-    lean = np.array([message.trunk_position[1] for message in one])
-    mirrored = -np.array([message.trunk_position[1] for message in other])
+    lean = np.array([message.base_position[1] for message in one])
+    mirrored = -np.array([message.base_position[1] for message in other])
     # What an engine adds by the order in which it solves its contacts is small beside the lean.
     assert abs(lean - mirrored).max() < 0.1 * abs(lean).max()
 
@@ -84,8 +84,8 @@ def test_t_w_leads_the_hand_forward_and_up(backend: str) -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
     truth = motion(backend, Theta(0.0, 0.31)).messages[channels.TRUTH_ROBOT]
-    sideways = abs(np.array([message.trunk_position[1] for message in truth])).max()
-    leaning = abs(np.array([m.trunk_position[1] for m in motion(backend, Theta(1.0, 0.31)).messages["TRUTH_ROBOT"]]))
+    sideways = abs(np.array([message.base_position[1] for message in truth])).max()
+    leaning = abs(np.array([m.base_position[1] for m in motion(backend, Theta(1.0, 0.31)).messages["TRUTH_ROBOT"]]))
     assert sideways < 0.02 * leaning.max()
 
 

@@ -18,7 +18,7 @@ from imolo.inspect.mcap_export import to_json
 from imolo.machine.extras import import_extra
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import Log, read_log
-from imolo_msgs import valve_pressure_t
+from imolo_msgs import actuator_state_t
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def _assert_fields(content: dict[str, object], descriptor: object) -> None:
 
 
 def test_number_that_json_does_not_have_becomes_null() -> None:
-    message = valve_pressure_t()
+    message = actuator_state_t()
     message.pressure = [float("nan"), float("inf"), 1.0, *[0.0] * 5]
     assert to_json(message)["pressure"][:3] == [None, None, 1.0]
 

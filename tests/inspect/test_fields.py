@@ -18,7 +18,7 @@ from imolo_msgs import marker_t, mocap_frame_t
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("VALVE_PRESSURE.pressure[2]", "Pa"),
+        ("ACTUATOR_STATE.pressure[2]", "Pa"),
         ("TRUTH_ROBOT.joint_angle[0:3]", "rad"),
         ("TRUTH_ROBOT.joint_velocity", "rad/s"),
         ("TRUTH_BALL.true_ball_velocity[-1]", "m/s"),
@@ -77,7 +77,7 @@ def test_element_that_a_message_does_not_have_is_nan(recorded: Recorded) -> None
 def test_silent_channel_is_refused_with_those_that_speak(recorded: Recorded) -> None:
     log = read_log(recorded.first)
     log.messages["PLAN"] = []
-    with pytest.raises(FieldError, match=r"has no PLAN; it has VALVE_COMMAND, VALVE_PRESSURE, MOCAP"):
+    with pytest.raises(FieldError, match=r"has no PLAN; it has ACTUATOR_COMMAND, ACTUATOR_STATE, MOCAP"):
         series(log, parse_selector("PLAN.state"))
 
 

@@ -31,7 +31,7 @@ from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
 
 def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
     logs = [read_log(recorded.first), read_log(recorded.second)]
-    selectors = [parse_selector("VALVE_PRESSURE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
+    selectors = [parse_selector("ACTUATOR_STATE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
     pressures, theta = draw_fields(logs, selectors).axes
     assert (len(pressures.lines), len(theta.lines)) == (6, 2)
     assert (pressures.get_ylabel(), theta.get_ylabel(), theta.get_xlabel()) == ("[Pa]", "[s]", "time [s]")
@@ -75,9 +75,9 @@ def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> No
     found = {channel.channel: channel for channel in statistics_of(read_events(recorded.first)[0]).channels}
     assert list(found) == list(channels.STREAMS)
     # Stamps are multiples of the 1 ms between two looks at the bus, over most of a second.
-    assert found["VALVE_PRESSURE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
+    assert found["ACTUATOR_STATE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
     assert found["TRUTH_ROBOT"].mean_rate == pytest.approx(240.0, rel=1e-2)
-    assert found["VALVE_PRESSURE"].missing == 0
+    assert found["ACTUATOR_STATE"].missing == 0
     assert found["BALL_STATE"].missing is None
 
 

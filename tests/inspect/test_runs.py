@@ -43,7 +43,7 @@ def test_run_is_the_same_as_itself(recorded: Recorded, run: Run) -> None:
 
 @pytest.mark.parametrize(
     ("channel", "field", "element"),
-    [("TRUTH_ROBOT", "joint_angle", 3), ("VALVE_PRESSURE", "pressure", 7), ("PLAN", "target_position", 1)],
+    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "pressure", 7), ("PLAN", "target_position", 1)],
 )
 def test_diff_names_the_message_field_and_time_that_were_changed(
     recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int
@@ -116,7 +116,7 @@ def test_divergence_is_drawn_for_joints_hand_ball_and_pressures(recorded: Record
 def test_replayed_planner_says_the_same_to_the_byte(recorded: Recorded, run: Run) -> None:
     code, output, errors = run("replay", recorded.first, "--table", recorded.table, "--method", METHOD)
     assert (code, errors) == (0, "")
-    said = [e for e in read_events(recorded.first)[0] if e.channel in ("PLAN", "BALL_STATE", "VALVE_COMMAND")]
+    said = [e for e in read_events(recorded.first)[0] if e.channel in ("PLAN", "BALL_STATE", "ACTUATOR_COMMAND")]
     assert f"the planner says the same: {len(said)} messages, byte by byte" in output
 
 

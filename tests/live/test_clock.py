@@ -6,7 +6,7 @@ from imolo.contracts.trial import EventName
 from imolo.live.clock import GIVE_UP, Pace
 from imolo.live.streams import Latency, Streams
 from imolo.messaging import channels
-from imolo_msgs import mocap_frame_t, trial_event_t, valve_command_t
+from imolo_msgs import mocap_frame_t, trial_event_t, actuator_command_t
 
 SLICE = 1000  # [µs]
 
@@ -126,10 +126,10 @@ def test_gaps_in_the_numbers_are_counted(numbers: tuple[int | str, ...], missing
 def test_gap_is_told_by_channel() -> None:
     streams = Streams()
     for number in (1, 4):
-        command = valve_command_t()
+        command = actuator_command_t()
         command.command_sequence = number
-        streams.count(channels.VALVE_COMMAND, command.encode())
-    assert streams.describe_gaps() == "missing 2 VALVE_COMMAND"
+        streams.count(channels.ACTUATOR_COMMAND, command.encode())
+    assert streams.describe_gaps() == "missing 2 ACTUATOR_COMMAND"
 
 
 def test_rates_are_messages_per_second() -> None:

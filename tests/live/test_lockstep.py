@@ -20,7 +20,7 @@ class Echo:
 
     def __call__(self, request: step_request_t) -> Sequence[Said]:
         self.handled.append((request.asking_backend, request.step_number))
-        return [(channels.PLAN, bytes([len(self.handled) % 256])), (channels.VALVE_COMMAND, b"")]
+        return [(channels.PLAN, bytes([len(self.handled) % 256])), (channels.ACTUATOR_COMMAND, b"")]
 
 
 def request(number: int, first: bool = False, backend: int = 5) -> bytes:
@@ -59,7 +59,7 @@ def test_answer_carries_all_that_was_said_in_its_order() -> None:
     assert (answer.answering_planner, answer.answered_backend, answer.answered_step) == (PLANNER, 5, 1)
     assert [(one.inner_channel, one.inner_data) for one in answer.answers] == [
         (channels.PLAN, b"\x01"),
-        (channels.VALVE_COMMAND, b""),
+        (channels.ACTUATOR_COMMAND, b""),
     ]
     assert answer.state_lost == 0
 

@@ -12,7 +12,7 @@ from network import URL, namespace
 from imolo.errors import BusError
 from imolo.messaging import channels, udpm
 from imolo.messaging.bus import Bus
-from imolo_msgs import valve_pressure_t
+from imolo_msgs import actuator_state_t
 
 BURST = 20_000
 # The system grants 8 MB, half of the burst: on a busy machine the sender must not run while the receiver may not.
@@ -21,11 +21,11 @@ import os
 os.nice(19)
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo_msgs import valve_pressure_t
-bus, message = Bus({URL!r}), valve_pressure_t()
+from imolo_msgs import actuator_state_t
+bus, message = Bus({URL!r}), actuator_state_t()
 for number in range(1, {BURST} + 1):
-    message.pressure_sequence = number
-    bus.publish(channels.VALVE_PRESSURE, message)
+    message.state_sequence = number
+    bus.publish(channels.ACTUATOR_STATE, message)
 """
 
 
@@ -69,10 +69,10 @@ def test_programs_of_ours_share_the_port() -> None:
     buses = [Bus(URL) for _ in range(3)]
     heard: list[int] = []
     for bus in buses:
-        bus.subscribe(channels.VALVE_PRESSURE, lambda message: heard.append(message.pressure_sequence))
-    message = valve_pressure_t()
-    message.pressure_sequence = 9
-    buses[0].publish(channels.VALVE_PRESSURE, message)
+        bus.subscribe(channels.ACTUATOR_STATE, lambda message: heard.append(message.state_sequence))
+    message = actuator_state_t()
+    message.state_sequence = 9
+    buses[0].publish(channels.ACTUATOR_STATE, message)
     for bus in buses:
         bus.wait(10.0)
     assert heard == [9, 9, 9]
@@ -88,7 +88,7 @@ def test_receive_buffer_is_asked_for_unless_it_was_chosen() -> None:
 @pytest.mark.usefixtures("network")
 def test_burst_of_another_process_arrives_whole_and_in_order() -> None:
     bus, heard = Bus(URL), []
-    bus.subscribe(channels.VALVE_PRESSURE, lambda message: heard.append(message.pressure_sequence))
+    bus.subscribe(channels.ACTUATOR_STATE, lambda message: heard.append(message.state_sequence))
     # Nothing is handled before all is sent: the queue must hold it.
     subprocess.run([sys.executable, "-c", SENDER], check=True, timeout=120)
     deadline = time.monotonic() + 30.0
@@ -100,12 +100,12 @@ def test_burst_of_another_process_arrives_whole_and_in_order() -> None:
 @pytest.mark.usefixtures("network")
 def test_newest_of_a_burst_is_handed_over_and_the_others_counted() -> None:
     bus, newest, skipped = Bus(URL), [], []
-    bus.subscribe_newest(channels.VALVE_PRESSURE, lambda _, data: newest.append(data), skipped.append)
+    bus.subscribe_newest(channels.ACTUATOR_STATE, lambda _, data: newest.append(data), skipped.append)
     subprocess.run([sys.executable, "-c", SENDER], check=True, timeout=120)
     deadline = time.monotonic() + 30.0
     while len(newest) + len(skipped) < BURST and time.monotonic() < deadline:
         bus.wait(0.5)
-    assert valve_pressure_t.decode(newest[-1]).pressure_sequence == BURST
+    assert actuator_state_t.decode(newest[-1]).state_sequence == BURST
     # LCM hands its queue over as it reads the socket, perhaps in a few parts.
     assert len(newest) < BURST / 100
 

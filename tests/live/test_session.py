@@ -65,11 +65,11 @@ def test_robot_vents_when_its_planner_is_killed_in_motion(realtime: Lab) -> None
     backend.wait_for(r"the planner has not answered a frame for 0\.\d s at [\d.]+ s; all valves vent")
     backend.wait_for(r"ball 0 is void, to be repeated: the planner has not answered")
     void = read_log(realtime.folder / "void/hit_000_0.lcmlog")
-    vent = void.messages[channels.VALVE_COMMAND][-1]
+    vent = void.messages[channels.ACTUATOR_COMMAND][-1]
     assert np.array_equal(vent.target_pressure, np.zeros((1, 8)))
     assert vent.switch_utime[0] == vent.utime
     # The muscle that swings the arm was full; air needs a few 10 ms to leave.
-    pressure = {message.utime: max(message.pressure) for message in void.messages[channels.VALVE_PRESSURE]}
+    pressure = {message.utime: max(message.pressure) for message in void.messages[channels.ACTUATOR_STATE]}
     before = max(value for utime, value in pressure.items() if utime <= vent.utime)
     assert pressure[max(pressure)] < 0.5 * before
     successor = realtime.planner()
@@ -177,7 +177,7 @@ def test_nonsense_on_the_bus_moves_nothing_and_stops_nobody(realtime: Lab) -> No
     backend.wait_for(r"ball 0: (hit|ball_landed)")
     assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
     assert re.search(r"[1-9]\d* unreadable", planner.lines[-1])
-    assert read_log(realtime.log(0)).messages[channels.VALVE_COMMAND]
+    assert read_log(realtime.log(0)).messages[channels.ACTUATOR_COMMAND]
 
 
 def whole_until(path: Path, moment: float) -> None:

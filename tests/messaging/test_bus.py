@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from imolo.errors import BusError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo_msgs import mocap_frame_t, plan_t, valve_pressure_t
+from imolo_msgs import mocap_frame_t, plan_t, actuator_state_t
 
 
-def pressure(utime: int) -> valve_pressure_t:
-    message = valve_pressure_t()
+def pressure(utime: int) -> actuator_state_t:
+    message = actuator_state_t()
     message.utime = utime
     return message
 
@@ -27,12 +27,12 @@ def frame(utime: int) -> mocap_frame_t:
 
 
 def test_unknown_channel_is_refused_with_the_nearest_name() -> None:
-    with pytest.raises(BusError, match=r"unknown channel 'VALVE_PRESURE'; did you mean 'VALVE_PRESSURE'\?"):
+    with pytest.raises(BusError, match=r"unknown channel 'VALVE_PRESURE'; did you mean 'ACTUATOR_STATE'\?"):
         Bus().publish("VALVE_PRESURE", pressure(0))
 
 
 def test_message_of_another_type_is_refused() -> None:
-    with pytest.raises(BusError, match="MOCAP carries mocap_frame_t, not valve_pressure_t"):
+    with pytest.raises(BusError, match="MOCAP carries mocap_frame_t, not actuator_state_t"):
         Bus().publish(channels.MOCAP, pressure(0))
 
 
@@ -47,12 +47,12 @@ def test_url_that_lcm_cannot_open_is_a_bus_error_with_the_recipe(url: str) -> No
 def test_messages_arrive_in_the_order_they_were_sent(utimes: list[int]) -> None:
     bus, seen = Bus(), []
     bus.subscribe(channels.MOCAP, lambda message: seen.append(message.utime))
-    bus.subscribe(channels.VALVE_PRESSURE, lambda message: seen.append(message.utime))
+    bus.subscribe(channels.ACTUATOR_STATE, lambda message: seen.append(message.utime))
     for number, utime in enumerate(utimes):
         if number % 2:
             bus.publish(channels.MOCAP, frame(utime))
         else:
-            bus.publish(channels.VALVE_PRESSURE, pressure(utime))
+            bus.publish(channels.ACTUATOR_STATE, pressure(utime))
     bus.drain()
     assert seen == utimes
 

@@ -14,7 +14,7 @@ from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder, read_log
 from imolo.messaging.log_file import HEADER, SYNC, read_events
-from imolo_msgs import mocap_frame_t, valve_pressure_t
+from imolo_msgs import mocap_frame_t, actuator_state_t
 
 COUNT = 12
 
@@ -27,9 +27,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     with Recorder(bus, path, lambda: utime):
         for number in range(COUNT):
             utime = 10_000 * number
-            message = mocap_frame_t() if number % 2 else valve_pressure_t()
+            message = mocap_frame_t() if number % 2 else actuator_state_t()
             message.utime = utime
-            bus.publish(channels.MOCAP if number % 2 else channels.VALVE_PRESSURE, message)
+            bus.publish(channels.MOCAP if number % 2 else channels.ACTUATOR_STATE, message)
             bus.drain()
     return path.read_bytes()
 
@@ -77,7 +77,7 @@ def test_cut_log_says_when_and_where(
     path.write_bytes(whole[: starts[7] + 40])
     with caplog.at_level(logging.WARNING):
         log = read_log(path)
-    assert len(log.messages[channels.VALVE_PRESSURE]) == 4
+    assert len(log.messages[channels.ACTUATOR_STATE]) == 4
     place = f"bytes {starts[7]} to {starts[7] + 40}"
     assert caplog.messages == [f"{path} is damaged: the log is cut off after 0.060000 s ({place}); the rest was read"]
 

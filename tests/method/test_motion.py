@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from imolo.errors import ConfigError, MessageError
 from imolo.method.commands import Commands
 from imolo.method.motion import MotionTemplate, Theta
-from imolo_msgs import valve_command_t
+from imolo_msgs import actuator_command_t
 
 TEMPLATE = MotionTemplate()
 ONSET = 5_000_000
@@ -99,7 +99,7 @@ def test_the_changed_phase_starts_where_its_predecessor_ends() -> None:
 
 @given(commands=all_commands(), utime=st.integers(0, 2**62), sequence=st.integers(0, 2**31 - 1))
 def test_commands_survive_the_bus(commands: Commands, utime: int, sequence: int) -> None:
-    message = valve_command_t.decode(commands.to_message(utime, sequence).encode())
+    message = actuator_command_t.decode(commands.to_message(utime, sequence).encode())
     assert Commands.from_message(message) == commands
     assert (message.utime, message.command_sequence) == (utime, sequence)
 
@@ -137,7 +137,7 @@ def test_malformed_message_is_refused(field: str, value: object, named: str) -> 
 
 def test_empty_message_is_refused() -> None:
     with pytest.raises(MessageError, match="no phases"):
-        Commands.from_message(valve_command_t())
+        Commands.from_message(actuator_command_t())
 
 
 def test_commands_cannot_be_changed_from_outside() -> None:

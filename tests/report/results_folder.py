@@ -72,7 +72,7 @@ def write_log(path: Path, ball: int, truth: bool = True, hitting_hand: int = 1) 
         share = utime / END
         if truth:
             robot = truth_robot_t()
-            robot.utime, robot.trunk_position, robot.trunk_quaternion = utime, (0.0, 0.0, share), (1.0, 0.0, 0.0, 0.0)
+            robot.utime, robot.base_position, robot.base_quaternion = utime, (0.0, 0.0, share), (1.0, 0.0, 0.0, 0.0)
             robot.right_hand_position, robot.left_hand_position = (0.0, -0.16, share), (0.0, 0.16, share)
             flight = truth_ball_t()
             flight.utime, flight.true_ball_position = utime, (5.0 - 5.0 * share, 0.0, 1.5)

@@ -16,7 +16,7 @@ from imolo.method.planner import PlannerConfig
 from imolo.method.table import LookupTable, TableGrid
 from imolo.trials.causes import PLATE_HALF_WIDTH, Cause
 from imolo.trials.metrics import TrialResult, judge_campaign, judge_trial
-from imolo_msgs import ball_state_t, marker_t, plan_t, valve_command_t
+from imolo_msgs import ball_state_t, marker_t, plan_t, actuator_command_t
 
 CONFIG = config("mujoco")
 HAND = CONFIG.robot.hand_marker
@@ -111,7 +111,7 @@ def table_of(*tuples: tuple[np.ndarray, float]) -> LookupTable:
 
 def test_ball_that_was_hit_has_no_cause() -> None:
     log = made_log()
-    log.messages[channels.TRIAL].append(event(EventName.HIT, HIT))
+    log.messages[channels.TRIAL].append(event(EventName.TOUCH, HIT))
     assert cause(log) is None
 
 
@@ -159,8 +159,8 @@ def test_motion_that_began_late_by_more_than_half_a_time_step_is_a_late_start(la
 
 def test_first_command_after_the_onset_is_a_late_start_where_no_event_tells() -> None:
     log = made_log(onset_late=None)
-    log.messages[channels.VALVE_COMMAND].append(valve_command_t())
-    log.received[channels.VALVE_COMMAND].append(ONSET + 10_000)
+    log.messages[channels.ACTUATOR_COMMAND].append(actuator_command_t())
+    log.received[channels.ACTUATOR_COMMAND].append(ONSET + 10_000)
     assert cause(log) == Cause.LATE
 
 
@@ -235,5 +235,5 @@ def test_campaign_counts_causes_and_positions() -> None:
 
 def test_methods_of_the_paper_and_ours_judge_the_same_hit() -> None:
     log = made_log()
-    log.messages[channels.TRIAL].append(event(EventName.HIT, HIT))
+    log.messages[channels.TRIAL].append(event(EventName.TOUCH, HIT))
     assert len({judge_trial(log, CONFIG, method).model_dump_json() for method in METHODS.values()}) == 1

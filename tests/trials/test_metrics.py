@@ -57,7 +57,7 @@ def made_log(*, swings: bool = True, touched: bool = True, landed: bool = True, 
             message.state = plan_t.UPDATED if number % 10 == 0 else plan_t.KEPT
         log.messages[channels.PLAN].append(message)
     told = [event(EventName.START, 0, trial=7)]
-    told += [event(EventName.HIT, 800_000, trial=7)] if touched else []
+    told += [event(EventName.TOUCH, 800_000, trial=7)] if touched else []
     told += [event(EventName.BALL_LANDED, 900_000, trial=7)] if landed else []
     log.messages[channels.TRIAL] += told
     return log
@@ -75,7 +75,7 @@ def test_ball_counts_as_hit_if_a_moving_arm_touched_it(swings: bool, touched: bo
 
 def test_ball_that_touched_the_robot_before_the_onset_was_not_hit() -> None:
     log = made_log()
-    next(e for e in log.messages[channels.TRIAL] if e.event == EventName.HIT).utime = ONSET - 1
+    next(e for e in log.messages[channels.TRIAL] if e.event == EventName.TOUCH).utime = ONSET - 1
     assert judge_trial(log, CONFIG).outcome == "missed"
 
 

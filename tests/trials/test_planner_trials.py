@@ -95,18 +95,18 @@ def test_every_frame_from_the_start_of_the_motion_is_answered_with_commands(hit:
     first = states.index(plan_t.STARTED)
     assert set(states[:first]) <= {plan_t.WAITING, plan_t.TRACKING}
     assert set(states[first + 1 :]) <= {plan_t.UPDATED, plan_t.KEPT}
-    commands = hit.messages[channels.VALVE_COMMAND]
+    commands = hit.messages[channels.ACTUATOR_COMMAND]
     assert [c.utime for c in commands] == [plan.utime for plan in hit.messages[channels.PLAN][first:]]
     assert [c.command_sequence for c in commands] == list(range(1, len(commands) + 1))
 
 
 def test_onset_is_one_lead_after_the_frame_that_starts_the_motion(hit: Log) -> None:
     start = next(plan for plan in hit.messages[channels.PLAN] if plan.state == plan_t.STARTED)
-    assert {c.onset_utime for c in hit.messages[channels.VALVE_COMMAND]} == {start.utime + LEAD}
+    assert {c.onset_utime for c in hit.messages[channels.ACTUATOR_COMMAND]} == {start.utime + LEAD}
 
 
 def test_first_command_arrives_before_its_onset(hit: Log) -> None:
-    assert hit.received[channels.VALVE_COMMAND][0] <= hit.messages[channels.VALVE_COMMAND][0].onset_utime
+    assert hit.received[channels.ACTUATOR_COMMAND][0] <= hit.messages[channels.ACTUATOR_COMMAND][0].onset_utime
     (onset,) = (event for event in hit.messages[channels.TRIAL] if event.event == EventName.ONSET)
     late, unit = onset.detail.split()[:2]
     # One engine step of 500 µs is all the lateness there is.
@@ -114,14 +114,14 @@ def test_first_command_arrives_before_its_onset(hit: Log) -> None:
 
 
 def test_executed_part_of_the_commands_never_changes(hit: Log) -> None:
-    commands = [Commands.from_message(message) for message in hit.messages[channels.VALVE_COMMAND]]
-    received = hit.received[channels.VALVE_COMMAND]
+    commands = [Commands.from_message(message) for message in hit.messages[channels.ACTUATOR_COMMAND]]
+    received = hit.received[channels.ACTUATOR_COMMAND]
     for (before, after), effective in zip(pairwise(commands), received[1:], strict=True):
         assert before.matches_until(after, effective)
 
 
 def test_only_updates_change_the_commands(hit: Log) -> None:
-    commands = [Commands.from_message(message) for message in hit.messages[channels.VALVE_COMMAND]]
+    commands = [Commands.from_message(message) for message in hit.messages[channels.ACTUATOR_COMMAND]]
     states = [plan.state for plan in hit.messages[channels.PLAN]][-len(commands) :]
     for (before, after), state in zip(pairwise(commands), states[1:], strict=True):
         assert (before == after) == (state == plan_t.KEPT)
@@ -129,7 +129,7 @@ def test_only_updates_change_the_commands(hit: Log) -> None:
 
 def test_plan_tells_the_motion_that_is_commanded(hit: Log, learned: Learned) -> None:
     plans = [plan for plan in hit.messages[channels.PLAN] if plan.plan_onset_utime]
-    for plan, message in zip(plans, hit.messages[channels.VALVE_COMMAND], strict=True):
+    for plan, message in zip(plans, hit.messages[channels.ACTUATOR_COMMAND], strict=True):
         expected = learned.table.template.commands(tuple(plan.theta), plan.plan_onset_utime)  # type: ignore[arg-type]
         assert Commands.from_message(message) == expected
         assert plan.hit_utime > plan.plan_onset_utime
@@ -147,7 +147,7 @@ def test_target_is_a_grid_point_on_the_predicted_path(hit: Log) -> None:
 
 def test_without_updates_the_first_motion_is_kept(learned: Learned, tmp_path: Path) -> None:
     log = play(CONFIG, tmp_path / "log", learned.planner(update=False), 1.0, TrialKind.HIT, 0)
-    assert len({message.encode()[28:] for message in log.messages[channels.VALVE_COMMAND]}) == 1
+    assert len({message.encode()[28:] for message in log.messages[channels.ACTUATOR_COMMAND]}) == 1
     assert not any(plan.state == plan_t.UPDATED for plan in log.messages[channels.PLAN])
     assert judge_trial(log, CONFIG).updates == 0
 
@@ -171,7 +171,7 @@ def test_one_planner_with_one_table_file_makes_every_backend_speak_alike(learned
     spoken = [{name: type(messages[0]) for name, messages in log.messages.items() if messages} for log in logs]
     assert spoken == [{name: channel.message_type for name, channel in channels.STREAMS.items()}] * len(AVAILABLE)
     # When things happen, motions start and the ball is struck is for engine and planner to say.
-    clocked = set(channels.STREAMS) - {channels.TRIAL, channels.VALVE_COMMAND, channels.BALL_STATE}
+    clocked = set(channels.STREAMS) - {channels.TRIAL, channels.ACTUATOR_COMMAND, channels.BALL_STATE}
     end = min(log.messages[channels.TRIAL][-1].utime for log in logs) - 10 * SLICE  # a frame may be under way
     for name in clocked:
         clocks = [[message.utime for message in log.messages[name] if message.utime < end] for log in logs]
@@ -195,7 +195,7 @@ def answers(planner: Planner, *frames: object) -> tuple[list[plan_t], int]:
     bus, plans, commands = Bus(), [], []
     planner.attach(bus)
     bus.subscribe(channels.PLAN, plans.append)
-    bus.subscribe(channels.VALVE_COMMAND, commands.append)
+    bus.subscribe(channels.ACTUATOR_COMMAND, commands.append)
     bus.publish(channels.TRIAL, event(EventName.START, 0))
     for frame in frames:
         bus.publish(channels.MOCAP, frame)

@@ -16,7 +16,7 @@ from imolo.method.motion import Theta
 from imolo.trials.recordings import hand_at, last_plan
 from imolo.trials.trainer import START_MARGIN
 from imolo.trials.trial import SLICE
-from imolo_msgs import valve_command_t
+from imolo_msgs import actuator_command_t
 
 THETA = Theta(0.5, 0.25)
 STEP = round(COARSE * 1e6)  # [µs]
@@ -44,8 +44,8 @@ def throw(backend: str, tmp_path_factory: pytest.TempPathFactory) -> Log:
 
 def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
     assert {name for name, messages in training.messages.items() if messages} == {
-        channels.VALVE_COMMAND,
-        channels.VALVE_PRESSURE,
+        channels.ACTUATOR_COMMAND,
+        channels.ACTUATOR_STATE,
         channels.MOCAP,
         channels.PLAN,
         channels.TRIAL,
@@ -57,7 +57,7 @@ def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
 @pytest.mark.parametrize(
     ("channel", "rate"),
     [
-        (channels.VALVE_PRESSURE, RATES.pressure_rate),
+        (channels.ACTUATOR_STATE, RATES.pressure_rate),
         (channels.TRUTH_ROBOT, RATES.truth_rate),
         (channels.TRUTH_BALL, RATES.truth_rate),
     ],
@@ -77,7 +77,7 @@ def test_every_mocap_frame_has_its_truth(training: Log) -> None:
 
 
 def test_pressures_are_numbered_without_a_gap(training: Log) -> None:
-    numbers = [message.pressure_sequence for message in training.messages[channels.VALVE_PRESSURE]]
+    numbers = [message.state_sequence for message in training.messages[channels.ACTUATOR_STATE]]
     assert numbers == list(range(1, round(DURATION * RATES.pressure_rate) + 1))
 
 
@@ -104,7 +104,7 @@ def test_clock_of_the_log_never_goes_back(training: Log, throw: Log) -> None:
 
 def test_clock_of_every_stream_is_strictly_increasing(training: Log, throw: Log) -> None:
     for log in (training, throw):
-        for name in (channels.VALVE_PRESSURE, channels.MOCAP, channels.TRUTH_ROBOT, channels.TRUTH_BALL):
+        for name in (channels.ACTUATOR_STATE, channels.MOCAP, channels.TRUTH_ROBOT, channels.TRUTH_BALL):
             utimes = [message.utime for message in log.messages[name]]
             assert all(before < after for before, after in pairwise(utimes))
 
@@ -122,7 +122,7 @@ def test_throw_events_come_in_order(throw: Log) -> None:
     assert names[:2] == [EventName.START, EventName.THROW]
     assert names[-1] == EventName.END
     assert names.count(EventName.BALL_LANDED) == 1
-    assert not {EventName.ONSET, EventName.HIT} & set(names)
+    assert not {EventName.ONSET, EventName.TOUCH} & set(names)
 
 
 def test_texts_are_ascii_so_that_every_lcm_language_reads_them(training: Log, throw: Log) -> None:
@@ -149,7 +149,7 @@ def test_phase_switches_at_the_commanded_time(backend: str, phase: int, tmp_path
         message = command(onset, Theta(0.0, 0.15))
         message.target_pressure[phase][2] = target
         log = play(quiet(backend, pressure_noise=0.0), tmp_path / name, Commander(lambda _: message), 0.2)
-        return {m.utime: m.pressure for m in log.messages[channels.VALVE_PRESSURE]}
+        return {m.utime: m.pressure for m in log.messages[channels.ACTUATOR_STATE]}
 
     one, other = pressures("one", 0.0), pressures("other", 6e5)
     start = (onset, onset + 100_000, onset + 150_000)[phase]
@@ -164,28 +164,28 @@ def test_same_seed_gives_the_same_log_to_the_byte(backend: str, tmp_path: Path) 
 
 def test_another_seed_gives_another_log(backend: str, training: Log, tmp_path: Path) -> None:
     other = play_motion(config(backend, seed=2), tmp_path / "log", THETA, 0.0)
-    for name in (channels.MOCAP, channels.VALVE_PRESSURE, channels.TRUTH_ROBOT):
+    for name in (channels.MOCAP, channels.ACTUATOR_STATE, channels.TRUTH_ROBOT):
         assert [m.encode() for m in other.messages[name]] != [m.encode() for m in training.messages[name]]
 
 
 def test_motion_commanded_too_late_is_announced_with_its_lateness(backend: str, tmp_path: Path) -> None:
     late = 4000
-    sent: list[valve_command_t] = []
+    sent: list[actuator_command_t] = []
 
-    def answer(frame: object) -> valve_command_t | None:
+    def answer(frame: object) -> actuator_command_t | None:
         if not sent:
             sent.append(command(frame.utime - late))  # type: ignore[attr-defined]
         return sent[0]
 
     log = play(quiet(backend), tmp_path / "log", Commander(answer), 0.05)
     (onset,) = events(log, EventName.ONSET)
-    received = log.received[channels.VALVE_COMMAND][0]
+    received = log.received[channels.ACTUATOR_COMMAND][0]
     assert onset.utime == received
     assert onset.detail == f"{received - sent[0].onset_utime} us after the commanded onset"
     assert received - sent[0].onset_utime > late
 
 
-def bad_command(fault: str) -> valve_command_t:
+def bad_command(fault: str) -> actuator_command_t:
     message = command(20_000)
     if fault == "not finite":
         message.target_pressure[1][2] = float("nan")
@@ -211,7 +211,7 @@ def test_bad_command_is_refused_and_nothing_moves(
 
 
 def test_bad_command_does_not_end_the_motion_under_way(backend: str, tmp_path: Path) -> None:
-    def answer(frame: object) -> valve_command_t:
+    def answer(frame: object) -> actuator_command_t:
         return command(20_000) if frame.frame_number < 3 else bad_command("too high")  # type: ignore[attr-defined]
 
     log = play(quiet(backend), tmp_path / "log", Commander(answer), 0.06)

@@ -1,6 +1,6 @@
 """The compiled part of the pneumatics: one engine step of air, valves and cylinders.
 
-Every joint has a cylinder with two chambers: J joints, 2 J chambers, first those that drive the joint angle up, V valves.
+Every joint has a cylinder with two chambers: J joints, 2 J chambers, first those that drive the angle up, V valves.
 The state is flat so that a call costs little: a few long arrays instead of many short ones. `pneumatics.py` fills it.
 """
 
@@ -18,7 +18,7 @@ Integers = NDArray[np.int64]
 SUBSTEPS, ROW, JOINTS, VALVES, PER_VALVE = range(5)
 
 # Scalars of the parameter vector; then one value per joint of area, lever, lowest and highest angle, Coulomb and
-# viscous friction, one per valve of the manifold's volume, one per chamber of the dead volume with its half of the tube.
+# viscous friction, one per valve of the manifold's volume, one per chamber of the dead volume and half the tube.
 (
     SUPPLY_FLOW,  # conductance times reference density [kg/(s·Pa)]
     EXHAUST_FLOW,

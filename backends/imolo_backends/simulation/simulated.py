@@ -27,7 +27,7 @@ from imolo_backends.simulation.ball_drag import BallDrag
 from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
-from imolo_msgs import trial_event_t, truth_ball_t, truth_robot_t, valve_command_t, valve_pressure_t
+from imolo_msgs import actuator_command_t, actuator_state_t, trial_event_t, truth_ball_t, truth_robot_t
 
 logger = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class SimulatedBackend:
         self._order = itertools.count()
         self._happened: set[EventName] = set()
         # `Bus.publish` encodes at once, so that one message of each stream is enough.
-        self._pressure = valve_pressure_t()
+        self._sensed = actuator_state_t()
         self._truth_robot = truth_robot_t()
         self._truth_ball = truth_ball_t()
 
@@ -107,7 +107,7 @@ class SimulatedBackend:
         self._throw = throw
         self._state = self._engine.read()
         self._state_step = 0
-        bus.subscribe(channels.VALVE_COMMAND, self._on_command)
+        bus.subscribe(channels.ACTUATOR_COMMAND, self._on_command)
         self._every(config.sensor_rate, self._tell_sensors)
         self._every(config.truth_rate, self._tell_truth)
         self._every(config.mocap.rate, self._expose)
@@ -166,7 +166,7 @@ class SimulatedBackend:
             EventName.THROW, self._throw.position, f"velocity {np.round(self._throw.velocity, 3).tolist()} m/s"
         )
 
-    def _on_command(self, message: valve_command_t) -> None:
+    def _on_command(self, message: actuator_command_t) -> None:
         try:
             commands = Commands.from_message(message, self._channels)
         except MessageError as error:
@@ -184,12 +184,13 @@ class SimulatedBackend:
             self._announce_once(EventName.ONSET, np.zeros(3), f"{late} us after the commanded onset")
 
     def _tell_sensors(self) -> None:
-        pressure = self._pressure
-        pressure.utime = self.utime
-        pressure.pressure_sequence += 1
+        told = self._sensed
+        told.utime = self.utime
+        told.state_sequence += 1
         noise = self._sensor_rng.normal(0.0, self._config.actuators.sensor_noise, len(self._channels))
-        pressure.pressure = (self._actuators.measured() + noise).tolist()
-        self._bus.publish(channels.VALVE_PRESSURE, pressure)
+        told.num_measured = len(noise)
+        told.measured = (self._actuators.measured() + noise).tolist()
+        self._bus.publish(channels.ACTUATOR_STATE, told)
 
     def _tell_truth(self) -> None:
         state = self._read()
@@ -202,14 +203,15 @@ class SimulatedBackend:
     def _tell_robot(self, utime: int, state: EngineState) -> None:
         truth = self._truth_robot
         truth.utime = utime
-        truth.trunk_position = state.link_position[0].tolist()
-        truth.trunk_quaternion = state.base_quaternion.tolist()
+        truth.base_position = state.link_position[0].tolist()
+        truth.base_quaternion = state.base_quaternion.tolist()
+        truth.num_joints = len(state.joint_angle)
         truth.joint_angle = state.joint_angle.tolist()
         truth.joint_velocity = state.joint_velocity.tolist()
-        places = [
+        truth.num_effectors = len(self._hands)
+        truth.effector_position = [
             (state.link_position[link] + state.link_rotation[link].dot(offset)).tolist() for link, offset in self._hands
         ]
-        truth.right_hand_position, truth.left_hand_position = places
 
     def _expose(self) -> None:
         self._mocap.expose(self.utime, self._read())
@@ -228,13 +230,13 @@ class SimulatedBackend:
         for contact in state.ball_contacts:
             if contact.other in self._touching and EventName.BALL_LANDED not in self._happened:
                 detail = f"{contact.other}, {contact.force:.1f} N"
-                self._announce_once(EventName.HIT, contact.position, detail, round(contact.time * 1e6))
+                self._announce_once(EventName.TOUCH, contact.position, detail, contact.other, contact.time)
             elif contact.other not in self._links:
                 detail = f"on {contact.other}"
-                self._announce_once(EventName.BALL_LANDED, contact.position, detail, round(contact.time * 1e6))
+                self._announce_once(EventName.BALL_LANDED, contact.position, detail, contact.other, contact.time)
         for index, foot in self._feet:
             if state.link_position[index, 2] < foot.height + TOUCHDOWN_MARGIN:
-                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], foot.link)
+                self._announce_once(EventName.ROBOT_LANDED, state.link_position[index], foot.link, foot.link)
         return state
 
     def _check_finite(self, state: EngineState) -> None:
@@ -253,18 +255,20 @@ class SimulatedBackend:
             f"{self._trial.index}; try a smaller simulation.timestep than {self._config.timestep:g} s"
         )
 
-    def _announce_once(self, event: EventName, position: Array, detail: str, utime: int | None = None) -> None:
+    def _announce_once(
+        self, event: EventName, position: Array, detail: str, touched: str = "", time: float | None = None
+    ) -> None:
         if event in self._happened:
             return
         self._happened.add(event)
         message = trial_event_t()
-        message.utime = self.utime if utime is None else utime
+        message.utime = self.utime if time is None else round(time * 1e6)
         message.trial = self._trial.index
         message.event = event.value
         message.robot = self._robot
         message.backend = self._name
         message.event_position = position.tolist()
-        message.detail = detail
+        message.touched, message.detail = touched, detail
         self._bus.publish(channels.TRIAL, message)
 
 

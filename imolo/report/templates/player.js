@@ -2,7 +2,7 @@
 
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const STATES = ["waits", "tracks the ball", "motion started", "motion updated", "motion kept"];
-const EVENT_NAMES = { throw: "throw", onset: "start", hit: "hit", ball_landed: "landed" };
+const EVENT_NAMES = { throw: "throw", onset: "start", touch: "touch", ball_landed: "landed" };
 const VIEWS = {
   free: { yaw: -64, pitch: 13, distance: 4.4, target: [1.0, 0, 1.18] },
   side: { yaw: -90, pitch: 3, distance: 4.6, target: [1.25, 0, 1.1] },
@@ -150,7 +150,7 @@ class Player {
   // The first ball that most backends hit with the last method: it shows most.
   firstChoice() {
     const last = this.trials[this.trials.length - 1].method, hits = {};
-    for (const trial of this.trials) if (trial.method === last && trial.outcome === "hit") hits[trial.number] = (hits[trial.number] || 0) + 1;
+    for (const trial of this.trials) if (trial.method === last && trial.success) hits[trial.number] = (hits[trial.number] || 0) + 1;
     const best = Math.max(0, ...Object.values(hits));
     return this.trials.find((trial) => trial.method === last && (hits[trial.number] || 0) === best) || this.trials[0];
   }
@@ -189,7 +189,7 @@ class Player {
     byId("time").max = this.duration;
     const events = this.motion(trial).event;
     // The moment before the end of the flight, unless the user looks at one already.
-    if (!keepTime) this.time = Math.max(0, (events.hit ?? events.ball_landed ?? this.duration) - 0.02);
+    if (!keepTime) this.time = Math.max(0, (events.touch ?? events.ball_landed ?? this.duration) - 0.02);
     this.time = Math.min(this.time, this.duration);
     this.drawEngines();
     this.drawTicks();
@@ -226,8 +226,8 @@ class Player {
       card.append(head, result, readout);
       box.append(card);
       this.readouts.set(trial, readout);
-      const hit = this.motion(trial).event.hit;
-      if (trial.outcome === "hit" && hit !== undefined) result.textContent += ` at ${hit.toFixed(3)} s`;
+      const hit = this.motion(trial).event.touch;
+      if (trial.success && hit !== undefined) result.textContent += ` at ${hit.toFixed(3)} s`;
     }
     byId("hud").replaceChildren(
       Object.assign(document.createElement("b"), { textContent: `Ball ${this.chosen.number}` }),
@@ -405,7 +405,7 @@ class Player {
       // Later lines lie over earlier ones: those of the trial in front come last.
       ribbons.unshift(own);
       if (!plan) return;
-      const hit = motion.event.hit ?? motion.event.ball_landed ?? Infinity;
+      const hit = motion.event.touch ?? motion.event.ball_landed ?? Infinity;
       if (this.time <= hit) own.push({ points: dotted(plan.path), color: blend(tint, theme.ball, ghost ? 0 : 0.5), alpha: ghost ? 0.4 : 0.9, width: ghost ? 1.5 : 2.5 });
       if (plan.target) {
         const size = trial.voxel || 0.01;

@@ -14,7 +14,7 @@ from imolo_drivers.board_client import BoardClient
 from imolo_drivers.board_server import BoardServer, monotonic_utime
 from imolo_drivers.handshake import ClientRole
 from imolo_drivers.valve_io import SimulatedValves
-from imolo_msgs import valve_command_t
+from imolo_msgs import actuator_command_t
 
 PATIENCE = 10.0  # [s] for what must happen at all; how fast it is is measured in benchmarks/hardware.py
 LOOPBACK = ("127.0.0.1", 0)
@@ -108,7 +108,7 @@ def command(onset: int, sequence: int = 1, pressure: float = 3e5, lengths: tuple
     return Commands(onset, tuple(switches), target).to_message(onset, sequence)
 
 
-def bad_command(onset: int, fault: str, sequence: int = 2) -> valve_command_t:
+def bad_command(onset: int, fault: str, sequence: int = 2) -> actuator_command_t:
     message = command(onset, sequence)
     if fault == "not finite":
         message.target_pressure[1][2] = float("nan")

@@ -15,7 +15,7 @@
 #include "imolo_msgs_board_state_t.h"
 #include "imolo_msgs_board_trial_t.h"
 #include "imolo_msgs_board_welcome_t.h"
-#include "imolo_msgs_valve_command_t.h"
+#include "imolo_msgs_actuator_command_t.h"
 
 #define HEADER 24
 #define SIGNED 20 /* bytes of the header that the CRC is taken over */
@@ -46,7 +46,7 @@ static int fail(const char *why)
     return 1;
 }
 
-static void tell(const imolo_msgs_valve_command_t *command)
+static void tell(const imolo_msgs_actuator_command_t *command)
 {
     fprintf(stderr, "%" PRId32 " %" PRId64 " %" PRId32, command->command_sequence, command->onset_utime, command->num_phases);
     for (int phase = 0; phase < command->num_phases; phase++) {
@@ -89,7 +89,7 @@ int main(void)
         case 2: REPEAT(board_welcome_t, NOTHING); break;
         case 3: REPEAT(board_refusal_t, NOTHING); break;
         case 4: REPEAT(board_arm_t, NOTHING); break;
-        case 5: REPEAT(valve_command_t, tell); break;
+        case 5: REPEAT(actuator_command_t, tell); break;
         case 6: REPEAT(board_state_t, NOTHING); break;
         case 7: REPEAT(board_clock_t, NOTHING); break;
         case 8: REPEAT(board_trial_t, NOTHING); break;

@@ -68,11 +68,11 @@ def test_events_of_the_robot_come_in_order(training: tuple[Log, Log]) -> None:
 
 
 def test_clocks_of_the_robot_increase_and_begin_with_the_trial(training: tuple[Log, Log]) -> None:
-    for name in (channels.MOCAP, channels.VALVE_PRESSURE):
+    for name in (channels.MOCAP, channels.ACTUATOR_STATE):
         utimes = [message.utime for message in training[0].messages[name]]
         assert utimes == sorted(set(utimes))
         assert utimes[0] > 0
-    numbers = [message.pressure_sequence for message in training[0].messages[channels.VALVE_PRESSURE]]
+    numbers = [message.state_sequence for message in training[0].messages[channels.ACTUATOR_STATE]]
     assert numbers == sorted(set(numbers))
 
 
@@ -80,7 +80,7 @@ def test_pressures_and_frames_come_no_faster_than_their_rates(training: tuple[Lo
     """By their own clocks and numbers; on a busy machine an engine in real time may fall behind."""
     for name, number, rate in (
         (channels.MOCAP, "frame_number", 120.0),
-        (channels.VALVE_PRESSURE, "pressure_sequence", 1000.0),
+        (channels.ACTUATOR_STATE, "state_sequence", 1000.0),
     ):
         messages = training[0].messages[name]
         count = getattr(messages[-1], number) - getattr(messages[0], number)

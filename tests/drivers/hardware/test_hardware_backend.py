@@ -42,29 +42,29 @@ def test_motion_reaches_the_valves_and_the_streams_come_back(tmp_path: Path) -> 
     with scripted_robot() as robot:
         log = play(config(robot), tmp_path / "log", player(), START_MARGIN + 0.3)
     spoken = {name for name, messages in log.messages.items() if messages}
-    expected = {channels.VALVE_COMMAND, channels.VALVE_PRESSURE, channels.MOCAP, channels.PLAN, channels.TRIAL}
+    expected = {channels.ACTUATOR_COMMAND, channels.ACTUATOR_STATE, channels.MOCAP, channels.PLAN, channels.TRIAL}
     assert spoken == expected
     assert events(log) == [EventName.START, EventName.ONSET, EventName.END]
     assert {(event.robot, event.backend) for event in log.messages[channels.TRIAL]} == {("liberobot", "hardware")}
     (onset,) = (event for event in log.messages[channels.TRIAL] if event.event == EventName.ONSET)
-    commanded = log.messages[channels.VALVE_COMMAND][0].onset_utime
+    commanded = log.messages[channels.ACTUATOR_COMMAND][0].onset_utime
     assert onset.utime >= commanded - 1000
     assert re.fullmatch(r"-?\d+ us after the commanded onset", onset.detail)
     # The simulated valves follow at once: the pressures are those of U, phase by phase.
-    given = {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]}
-    assert {tuple(row) for row in log.messages[channels.VALVE_COMMAND][0].target_pressure[:2]} <= given
+    given = {tuple(message.pressure) for message in log.messages[channels.ACTUATOR_STATE]}
+    assert {tuple(row) for row in log.messages[channels.ACTUATOR_COMMAND][0].target_pressure[:2]} <= given
 
 
 def test_streams_are_numbered_and_their_clocks_increase(tmp_path: Path) -> None:
     with scripted_robot() as robot:
         log = play(config(robot), tmp_path / "log", Bystander(), 0.4)
-    for name in (channels.VALVE_PRESSURE, channels.MOCAP):
+    for name in (channels.ACTUATOR_STATE, channels.MOCAP):
         utimes = [message.utime for message in log.messages[name]]
         assert len(utimes) > 10
         assert utimes == sorted(set(utimes))
         assert utimes[0] > 0
         assert all(utime <= received + 2000 for utime, received in zip(utimes, log.received[name], strict=True))
-    assert log.messages[channels.VALVE_PRESSURE][0].pressure_sequence == 1
+    assert log.messages[channels.ACTUATOR_STATE][0].state_sequence == 1
 
 
 def test_markers_are_where_they_are(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_dry_run_moves_nothing(tmp_path: Path) -> None:
     with scripted_robot() as robot:
         log = play(config(robot, dry_run=True), tmp_path / "log", player(), START_MARGIN + 0.2)
     assert EventName.ONSET in events(log)
-    assert {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]} == {VENTED_PRESSURE}
+    assert {tuple(message.pressure) for message in log.messages[channels.ACTUATOR_STATE]} == {VENTED_PRESSURE}
 
 
 def test_robot_is_vented_and_disarmed_after_the_trial(tmp_path: Path) -> None:

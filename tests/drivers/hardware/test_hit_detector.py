@@ -124,7 +124,7 @@ def test_ball_that_is_struck_near_an_arm_is_a_hit(at: float, away: tuple[float, 
     arm = where[0] - np.array([0.3, 0.0, RADIUS])
     told = watch(places, arm)
     if change > 1.0:
-        event = told[EventName.HIT]
+        event = told[EventName.TOUCH]
         # As long as the ball is within the gate of its old flight nobody can tell that it was struck.
         config = HitDetectorConfig()
         gate = np.sqrt(chi2.ppf(config.gate_probability, 3) * (config.margin**2 + 2.0 * config.ball_noise**2))
@@ -151,14 +151,14 @@ def test_free_flight_past_an_arm_is_no_hit(scale: float, side: float, hidden: se
     places = fly(THROW * scale + np.array([0.0, side, 0.0]), floor)
     nearest = places[45]
     told = watch(places, nearest - np.array([0.3, 0.0, 0.06]), tuple(hidden), ghosts=True)
-    assert EventName.HIT not in told
+    assert EventName.TOUCH not in told
 
 
 def test_ball_that_is_hidden_when_it_lands_has_landed() -> None:
     places = fly(THROW * 0.8, floor)
     land = first_landing(places)
     told = watch(places[: land + 30], hidden=tuple(range(land - 3, land + 30)))
-    assert EventName.HIT not in told
+    assert EventName.TOUCH not in told
     assert abs(told[EventName.BALL_LANDED].utime * 1e-6 - land / RATE) < 2.0 / RATE
 
 
