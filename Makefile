@@ -6,10 +6,13 @@ EXTRAS ?= mujoco,pybullet,dart,dev
 BIN := .venv/bin
 READY := .venv/.ready
 HEADERS ?= build/board
+C_PLANNER ?= build/c_planner
+# The wheel of LCM holds its C library.
+LCM = $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow lint bench messages headers clean
+.PHONY: help demo ode test test-slow lint bench messages headers c-planner clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -42,6 +45,14 @@ headers: $(READY) ## Write C structs of the valve board's messages to build/boar
 	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-no-pubsub --c-cpath $(abspath $(HEADERS)) --c-hpath $(abspath $(HEADERS)) \
 		board_*.lcm actuator_command_t.lcm
 	cp $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
+
+c-planner: $(READY) ## Build examples/c_planner, a planner in C, to build/c_planner.
+	mkdir -p $(C_PLANNER)
+	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-cpath $(abspath $(C_PLANNER)) --c-hpath $(abspath $(C_PLANNER)) \
+		actuator_command_t.lcm envelope_t.lcm heartbeat_t.lcm marker_t.lcm mocap_frame_t.lcm plan_t.lcm step_answer_t.lcm \
+		step_request_t.lcm trial_event_t.lcm
+	gcc -std=gnu11 -O2 -Wall -Wextra -I$(C_PLANNER) -I$(LCM)/include -o $(C_PLANNER)/planner \
+		examples/c_planner/planner.c $(C_PLANNER)/*.c $(LCM)/lib/liblcm.a -l:libglib-2.0.so.0 -lm -lpthread
 
 clean: ## Remove the environment and everything generated.
 	rm -rf .venv build results .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -15,7 +15,7 @@ from imolo.messaging.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
 from imolo.trials.trial import Bystander, Controller, run_trial
-from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, actuator_command_t
+from imolo_msgs import actuator_command_t, marker_t, mocap_frame_t, plan_t, trial_event_t
 
 COARSE = 5e-4  # [s] for claims that are not about the precision of the physics
 UNDISTURBED = {"profile": "none"}

@@ -20,10 +20,8 @@ from imolo.campaigns.command_options import (
 from imolo.command_line.options import CORES, ConfigPath, Jobs, Method
 from imolo.command_line.terminal import ProgressBars, console, say
 from imolo.errors import ConfigError, did_you_mean
-from imolo.studies import commands as study_commands
 
 app = typer.Typer()
-app.add_typer(study_commands.app)
 
 
 @app.command()

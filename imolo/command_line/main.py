@@ -4,30 +4,44 @@ import logging
 import sys
 import warnings
 from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
-from imolo.campaigns import commands as experiment_commands
+from imolo.campaigns import commands as campaign_commands
 from imolo.command_line.terminal import complain, console
 from imolo.conformance import commands as conformance_commands
 from imolo.errors import ImoloError
 from imolo.inspect import commands as inspect_commands
 from imolo.live import commands as live_commands
 from imolo.report import commands as report_commands
+from imolo.scaffold import commands as scaffold_commands
+from imolo.studies import commands as study_commands
+
+if TYPE_CHECKING:
+    from imolo.contracts.registry import Registry
 
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Jump-and-hit motions of a pneumatic humanoid from a lookup table of learned dynamics (IMoLo), "
-    "compared across physics engines over LCM.",
+    help="Robots that hit or catch a flying ball by a lookup table of learned dynamics (IMoLo), compared across physics "
+    "engines over LCM.",
 )
 # In the order of `--help`, which must be quick: a command imports what it needs when it is called, since scikit-learn,
 # numba and matplotlib take seconds.
-for _commands in (conformance_commands, experiment_commands, report_commands, live_commands, inspect_commands):
+for _commands in (
+    conformance_commands,
+    campaign_commands,
+    study_commands,
+    report_commands,
+    live_commands,
+    inspect_commands,
+    scaffold_commands,
+):
     app.add_typer(_commands.app)
 for _installed in entry_points(group="imolo.commands"):
     app.add_typer(_installed.load())
@@ -38,16 +52,29 @@ def backends() -> None:
     """List the backends that are installed, and what is missing for the others."""
     from imolo.contracts.registry import BACKENDS
 
+    console.print(_plugins(BACKENDS))
+
+
+@app.command()
+def robots() -> None:
+    """List the robots, tasks and planners that are installed."""
+    from imolo.contracts.registry import PLANNERS, ROBOTS, TASKS
+
+    for registry in (ROBOTS, TASKS, PLANNERS):
+        console.print(_plugins(registry))
+
+
+def _plugins(registry: "Registry[Any]") -> Table:
     table = Table(box=None, pad_edge=False)
-    for title in ("backend", "state", "about"):
+    for title in (registry.kind, "state", "about"):
         table.add_column(title)
-    for name in BACKENDS.names():
-        status = BACKENDS.status(name)
+    for name in registry.names():
+        status = registry.status(name)
         if status.plugin is None:
             table.add_row(name, "[red]missing[/red]", escape(status.problem))
         else:
-            table.add_row(name, "[green]ready[/green]", status.plugin.summary)
-    console.print(table)
+            table.add_row(name, "[green]ready[/green]", escape(status.plugin.summary))
+    return table
 
 
 def main() -> None:

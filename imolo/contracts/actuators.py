@@ -71,6 +71,17 @@ class ActuatorsConfig(Model):
         """Standard deviation of the channels' sensors, in their unit."""
         raise NotImplementedError
 
+    def settled_torque(self, target: Array, joint_angle: Array) -> Array:
+        """Return what the joint torques settle to under constant targets, the joints held [N·m], shape (J,).
+
+        The closed form that `imolo check --robot` compares the actuators with.
+
+        Args:
+            target: Of the channels, in their units, shape (C,).
+            joint_angle: At which the joints are held [rad], shape (J,).
+        """
+        raise NotImplementedError
+
     def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> Any:
         """Draw what is different in a trial, for `create`; always the same number of draws.
 

@@ -80,8 +80,11 @@ def shared_sections(config: "ExperimentConfig", template: "MotionTemplate | None
 
 
 def mismatch(own: Identity, other: Identity, other_protocol: int) -> str:
-    """Return why two programs must not work together, and the remedy; empty where they may."""
-    if other_protocol != protocol():
+    """Return why two programs must not work together, and the remedy; empty where they may.
+
+    A program in another language says 0 for the protocol and no sections; LCM's own fingerprints guard its messages.
+    """
+    if other_protocol not in (protocol(), 0):
         return "it speaks other message types; run both from the same version of imolo"
     if {own.role, other.role} != {Role.BACKEND, Role.PLANNER}:
         return ""
@@ -89,8 +92,8 @@ def mismatch(own: Identity, other: Identity, other_protocol: int) -> str:
         return (
             f"it is for robot {other.robot!r}, this one for {own.robot!r}; give a table that was learned on the robot"
         )
-    names = own.sections | other.sections
-    different = [name for name in names if own.sections.get(name) != other.sections.get(name)]
+    shared = [name for name in own.sections if name in other.sections]
+    different = [name for name in shared if own.sections[name] != other.sections[name]]
     if different:
         return f"its config differs in {', '.join(different)}; start both with the same config"
     return ""

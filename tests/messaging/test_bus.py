@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from imolo.errors import BusError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo_msgs import mocap_frame_t, plan_t, actuator_state_t
+from imolo_msgs import actuator_state_t, mocap_frame_t, plan_t
 
 
 def pressure(utime: int) -> actuator_state_t:

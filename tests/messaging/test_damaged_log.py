@@ -14,7 +14,7 @@ from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder, read_log
 from imolo.messaging.log_file import HEADER, SYNC, read_events
-from imolo_msgs import mocap_frame_t, actuator_state_t
+from imolo_msgs import actuator_state_t, mocap_frame_t
 
 COUNT = 12
 

@@ -16,7 +16,7 @@ from imolo.method.planner import PlannerConfig
 from imolo.method.table import LookupTable, TableGrid
 from imolo.trials.causes import PLATE_HALF_WIDTH, Cause
 from imolo.trials.metrics import TrialResult, judge_campaign, judge_trial
-from imolo_msgs import ball_state_t, marker_t, plan_t, actuator_command_t
+from imolo_msgs import actuator_command_t, ball_state_t, marker_t, plan_t
 
 CONFIG = config("mujoco")
 HAND = CONFIG.robot.hand_marker

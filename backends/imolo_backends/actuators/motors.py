@@ -79,6 +79,12 @@ class MotorsConfig(ActuatorsConfig):
         """Standard deviation of an encoder [rad]."""
         return self.encoder_noise
 
+    def settled_torque(self, target: Array, joint_angle: Array) -> Array:
+        """Return the PD law at rest, within the torque limits [N·m], shape (J,)."""
+        stiffness, limit = np.array([(motor.stiffness, motor.torque_limit) for motor in self.motors]).T
+        torque: Array = np.clip(stiffness * (target - joint_angle), -limit, limit)
+        return torque
+
     def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw what is added to the delay of each motor [s], and what its gains are scaled by, shape (J,) each."""
         scale = disturbance if isinstance(disturbance, MotorDisturbance) else MotorDisturbance(profile="none")

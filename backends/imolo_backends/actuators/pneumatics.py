@@ -134,6 +134,13 @@ class AirConfig(ActuatorsConfig):
         """Standard deviation of a pressure sensor [Pa]."""
         return self.pressure_noise
 
+    def settled_torque(self, target: Array, joint_angle: Array) -> Array:
+        """Return (p_up - p_down) A r of each joint [N·m], shape (J,): settled chambers have their valves' pressures."""
+        cylinders = self.cylinders_of_joints()
+        pressure = [target[cylinder.up - 1] - target[cylinder.down - 1] for cylinder in cylinders]
+        lever = [0.25 * math.pi * cylinder.bore**2 * cylinder.lever for cylinder in cylinders]
+        return np.array(pressure) * np.array(lever)
+
     def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> AirDisturbance:
         """Draw what is different in a trial."""
         scale = disturbance if isinstance(disturbance, PneumaticDisturbance) else PneumaticDisturbance(profile="none")

@@ -1,0 +1,1 @@
+"""A pneumatic arm on a stand: two joints, four valves."""
