@@ -3,30 +3,32 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from imolo.contracts.engine import Array, BallContact, EngineState, Scene
 from imolo.contracts.urdf import RobotModel, read_urdf
-from imolo_backends.engines.engine_checks import Loaded, Numbers, Touch, check_loaded, check_scene, merge_touches
+from imolo_backends.engines.engine_checks import (
+    FLOOR,
+    Body,
+    Loaded,
+    Touch,
+    check_loaded,
+    check_scene,
+    merge_touches,
+)
 from imolo_backends.engines.plain_urdf import plain_urdf
 
+__all__ = ["FLOOR", "Body", "EngineAdapter", "Loaded", "Poses", "Touch"]
 
-class Poses(NamedTuple):
-    """Where everything is after the last step; views and lists will do, since `EngineAdapter.read` copies.
 
-    Attributes:
-        link_position: Origins of the link frames, in the order of `Scene.link_names` [m], shape (L, 3).
-        link_rotation: Rotation matrices of the link frames, shape (L, 3, 3).
-        base_quaternion: Rotation of the base link, w, x, y, z, shape (4,).
-        ball_position: Centre of the ball [m], shape (3,).
-    """
+Poses = tuple[Array, Array, Array, Array]
+"""Where everything is after the last step; views will do, since `EngineAdapter.read` copies.
 
-    link_position: Any
-    link_rotation: Any
-    base_quaternion: Any
-    ball_position: Any
+Origins of the link frames in the order of `Scene.link_names` [m], shape (L, 3); rotation matrices of the link frames,
+shape (L, 3, 3); rotation of the base link, w, x, y, z, shape (4,); centre of the ball [m], shape (3,).
+"""
 
 
 class EngineAdapter(ABC):
@@ -47,6 +49,9 @@ class EngineAdapter(ABC):
         self._scene = scene
         self._steps = 0
         self._contacts: list[BallContact] = []
+        joints = len(scene.joint_names)
+        self._motion = np.zeros(joints), np.zeros(joints), np.zeros(3)
+        self._motion_is_old = True
         with plain_urdf(scene.urdf) as urdf:
             robot = read_urdf(urdf)
             check_scene(scene, robot)
@@ -71,8 +76,8 @@ class EngineAdapter(ABC):
         """
 
     @abstractmethod
-    def advance(self, joint_torque: Array, ball_force: Array) -> bool:
-        """Advance by exactly one timestep, and return whether the ball may have touched something; see `Engine.step`.
+    def advance(self, joint_torque: Array, ball_force: Array) -> object:
+        """Advance by exactly one timestep, and return something true if the ball may have touched; see `Engine.step`.
 
         Raises:
             DivergenceError: Where the library would otherwise abort or hide what is not finite.
@@ -86,8 +91,8 @@ class EngineAdapter(ABC):
         """
 
     @abstractmethod
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """Write joint angles [rad] and velocities [rad/s], each of shape (J,), and the ball's [m/s], shape (3,)."""
 
     @abstractmethod
     def poses(self) -> Poses:
@@ -109,8 +114,16 @@ class EngineAdapter(ABC):
         """See `Engine.step`."""
         touched = self.advance(joint_torque, ball_force)
         self._steps += 1
+        self._motion_is_old = True
         if touched:
             self._contacts += merge_touches(self.time, self.touches())
+
+    def motion(self) -> tuple[Array, Array, Array]:
+        """See `Engine.motion`; an adapter whose library shows its own memory overrides it."""
+        if self._motion_is_old:
+            self.write_motion(*self._motion)
+            self._motion_is_old = False
+        return self._motion
 
     def read(self) -> EngineState:
         """See `Engine.read`."""
@@ -121,14 +134,10 @@ class EngineAdapter(ABC):
             time=self.time,
             joint_angle=joint_angle.copy(),
             joint_velocity=joint_velocity.copy(),
-            link_position=_copy(link_position),
-            link_rotation=_copy(link_rotation),
-            base_quaternion=_copy(base_quaternion),
-            ball_position=_copy(ball_position),
+            link_position=link_position.copy(),
+            link_rotation=link_rotation.copy(),
+            base_quaternion=base_quaternion.copy(),
+            ball_position=ball_position.copy(),
             ball_velocity=ball_velocity.copy(),
             ball_contacts=contacts,
         )
-
-
-def _copy(values: Numbers) -> Array:
-    return np.array(values, dtype=np.float64, order="C")

@@ -11,11 +11,11 @@ from pydantic import PositiveInt
 
 from imolo.config.model import Positive
 from imolo.conformance import Limitation
-from imolo.contracts.engine import Array, EngineOptions, Scene
+from imolo.contracts.engine import Array, BoxShape, EngineOptions, Scene
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
-from imolo_backends.engines.adapter import EngineAdapter, Poses
-from imolo_backends.engines.engine_checks import FLOOR, Body, Loaded, Touch, base_rotation, joint_index
+from imolo_backends.engines.adapter import FLOOR, Body, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import base_rotation, joint_index
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
@@ -24,7 +24,7 @@ DETECTORS = {
     "fcl": dartpy.collision.FCLCollisionDetector,
     "ode": dartpy.collision.OdeCollisionDetector,
 }
-FLOOR_SIZE = (100.0, 100.0, 2.0)  # [m] a box, since not every detector has planes
+FLOOR_BOX = BoxShape(FLOOR, (0.0, 0.0, -1.0), (50.0, 50.0, 1.0))  # since not every detector has planes
 
 
 class DartOptions(EngineOptions):
@@ -65,15 +65,19 @@ class DartEngine(EngineAdapter):
         constraints = world.getConstraintSolver()
         constraints.setCollisionDetector(DETECTORS[options.collision_detector]())
         if options.friction == "cone":
+            settings = dartpy.constraint.NsgsFrictionSolver.Options()
+            settings.maxSweeps, settings.tolerance = options.friction_sweeps, options.friction_tolerance
             direct = constraints.getBoxedLcpSolver()
-            constraints.setBoxedLcpSolver(_cone_solver(options))
+            constraints.setBoxedLcpSolver(dartpy.constraint.NsgsFrictionSolver(settings))
             # Takes over where the iterations fail; DART's own second choice, PGS, does not carry this robot.
             constraints.setSecondaryBoxedLcpSolver(direct)
 
         self._robot = _load_robot(scene, urdf)
-        self._ball, self._ball_body = _make_ball(scene)
         world.addSkeleton(self._robot)
-        world.addSkeleton(self._ball)
+        ball = dartpy.dynamics.SphereShape(scene.ball.radius)
+        self._ball, self._ball_body = _add_body(world, BALL, BALL, "Free", ball)
+        inertia = scene.ball.inertia * np.eye(3)
+        self._ball_body.setInertia(dartpy.dynamics.Inertia(scene.ball.mass, np.zeros(3), inertia))
         # DART multiplies the restitutions of two bodies. The robot must bounce off the ball but not off the box, the
         # ball off both: so the ball has 1, and what is fixed is there twice, once for the robot and once for the ball.
         _set_contact(self._robot, scene.friction, scene.restitution)
@@ -88,22 +92,19 @@ class DartEngine(EngineAdapter):
         # Frames that ride on the links: dartpy takes 0.3 µs to say where such a frame is, 4 µs for the link itself.
         self._link_frames = [dartpy.dynamics.SimpleFrame(self._robot.getBodyNode(n), n) for n in scene.link_names]
         self._ball_offset = np.zeros(3)
-        self._motion: tuple[Array, Array, Array] | None = None
         self._start()
         return self._loaded()
 
     def _add_fixed(self, partner: str, restitution: float, invisible_to: list[Any]) -> None:
         world, scene = self._world, self._scene
         no_contact = world.getConstraintSolver().getCollisionOption().collisionFilter
-        half_floor = [0.5 * side for side in FLOOR_SIZE]
-        boxes = [(FLOOR, (0.0, 0.0, -half_floor[2]), half_floor)]
-        boxes += [(box.name, box.center, list(box.half_extents)) for box in scene.boxes]
-        for name, center, half_extents in boxes:
-            skeleton = _make_box(f"{name} for the {partner}", name, center, half_extents)
+        for box in (FLOOR_BOX, *scene.boxes):
+            shape = dartpy.dynamics.BoxShape(2.0 * np.array(box.half_extents))
+            skeleton, body = _add_body(world, f"{box.name} for the {partner}", box.name, "Weld", shape)
+            skeleton.getRootJoint().setTransformFromParentBodyNode(_pose(box.center, np.eye(3)))
             _set_contact(skeleton, scene.friction, restitution)
-            world.addSkeleton(skeleton)
-            for body in invisible_to:
-                no_contact.addBodyNodePairToBlackList(skeleton.getBodyNode(0), body)
+            for other in invisible_to:
+                no_contact.addBodyNodePairToBlackList(body, other)
 
     def _start(self) -> None:
         scene = self._scene
@@ -117,37 +118,32 @@ class DartEngine(EngineAdapter):
         self._ball.getRootJoint().setTransform(_pose(scene.ball.position, np.eye(3)))
         self._ball.getRootJoint().setLinearVelocity(scene.ball.velocity)
 
-    def advance(self, joint_torque: Array, ball_force: Array) -> bool:
+    def advance(self, joint_torque: Array, ball_force: Array) -> object:
         """See `EngineAdapter.advance`."""
         # DART forgets torques and forces after every step.
         self._force[self._joint_index] = joint_torque
         self._robot.setForces(self._force)
         self._ball_body.addExtForce(ball_force, self._ball_offset, False, True)
         self._world.step()
-        self._motion = None
         # Cheaper than a look at the contact list, which always holds the feet.
         reaction = self._ball.getConstraintForces()
-        return bool(reaction[3] or reaction[4] or reaction[5])
+        return reaction[3] or reaction[4] or reaction[5]
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
         for contact in self._world.getLastCollisionResult().getContacts():
-            first, second = (
-                side.getShapeFrame().getBodyNode().getName()
-                for side in (contact.collisionObject1, contact.collisionObject2)
-            )
+            sides = (contact.collisionObject1, contact.collisionObject2)
+            first, second = (side.getShapeFrame().getBodyNode().getName() for side in sides)
             if BALL in (first, second):
                 force = abs(float(contact.force @ contact.normal))
                 yield second if first == BALL else first, contact.point, force
 
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
-        if self._motion is None:
-            robot, index = self._robot, self._joint_index
-            # Of the COM, which is the centre; `getLinearVelocity` says the same but costs five times as much.
-            ball_velocity = self._ball_body.getCOMLinearVelocity()
-            self._motion = robot.getPositions()[index], robot.getVelocities()[index], ball_velocity
-        return self._motion
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        joint_angle[:] = self._robot.getPositions()[self._joint_index]
+        joint_velocity[:] = self._robot.getVelocities()[self._joint_index]
+        # Of the COM, which is the centre; `getLinearVelocity` says the same but costs five times as much.
+        ball_velocity[:] = self._ball_body.getCOMLinearVelocity()
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`.
@@ -160,12 +156,10 @@ class DartEngine(EngineAdapter):
             joints = [name for name, torque in torques if not np.isfinite(torque)]
             raise DivergenceError(f"torque of {joints} is not finite at {self.time:.4f} s")
         transforms = [frame.getWorldTransform() for frame in self._link_frames]
-        poses = np.empty((len(transforms), 4, 4))
-        for pose, transform in zip(poses, transforms, strict=True):
-            pose[:] = transform.matrix()
+        poses = np.array([transform.matrix() for transform in transforms])
         # Of the ball, the first three are the rotation.
         ball_position = self._ball.getPositions()[3:]
-        return Poses(poses[:, :3, 3], poses[:, :3, :3], transforms[0].quaternion().wxyz(), ball_position)
+        return poses[:, :3, 3], poses[:, :3, :3], transforms[0].quaternion().wxyz(), ball_position
 
     def _loaded(self) -> Loaded:
         world, joints = self._world, {name: self._robot.getJoint(name) for name in self._scene.joint_names}
@@ -191,13 +185,6 @@ def _held(node: Any) -> Body:
     return inertia.getMass(), inertia.getLocalCOM(), inertia.getMoment()
 
 
-def _cone_solver(options: DartOptions) -> Any:
-    settings = dartpy.constraint.NsgsFrictionSolver.Options()
-    settings.maxSweeps = options.friction_sweeps
-    settings.tolerance = options.friction_tolerance
-    return dartpy.constraint.NsgsFrictionSolver(settings)
-
-
 def _pose(position: Any, rotation: Array) -> Any:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, position
@@ -205,11 +192,10 @@ def _pose(position: Any, rotation: Array) -> Any:
 
 
 def _load_robot(scene: Scene, urdf: Path) -> Any:
-    loader = dartpy.utils.DartLoader()
-    root_type = dartpy.utils.DartLoaderRootJointType
-    loader_options = loader.getOptions()
-    loader_options.mDefaultRootJointType = root_type.FIXED if scene.fixed_base else root_type.FLOATING
-    loader.setOptions(loader_options)
+    loader, root = dartpy.utils.DartLoader(), dartpy.utils.DartLoaderRootJointType
+    options = loader.getOptions()
+    options.mDefaultRootJointType = root.FIXED if scene.fixed_base else root.FLOATING
+    loader.setOptions(options)
     robot = loader.parseSkeleton(str(urdf))
     if robot is None:
         raise BackendError(f"DART cannot load {scene.urdf}")
@@ -221,28 +207,15 @@ def _load_robot(scene: Scene, urdf: Path) -> Any:
     return robot
 
 
-def _make_ball(scene: Scene) -> tuple[Any, Any]:
-    skeleton = dartpy.dynamics.Skeleton(BALL)
-    _, body = skeleton.createFreeJointAndBodyNodePair()
-    body.setName(BALL)
-    body.setInertia(dartpy.dynamics.Inertia(scene.ball.mass, np.zeros(3), scene.ball.inertia * np.eye(3)))
-    _add_shape(body, dartpy.dynamics.SphereShape(scene.ball.radius))
-    return skeleton, body
-
-
-def _make_box(name: str, body_name: str, center: Any, half_extents: Any) -> Any:
+def _add_body(world: Any, name: str, body_name: str, kind: str, shape: Any) -> tuple[Any, Any]:
     skeleton = dartpy.dynamics.Skeleton(name)
-    joint, body = skeleton.createWeldJointAndBodyNodePair()
+    _, body = getattr(skeleton, f"create{kind}JointAndBodyNodePair")()
     body.setName(body_name)
-    joint.setTransformFromParentBodyNode(_pose(center, np.eye(3)))
-    _add_shape(body, dartpy.dynamics.BoxShape(2.0 * np.array(half_extents)))
-    return skeleton
-
-
-def _add_shape(body: Any, shape: Any) -> None:
     node = body.createShapeNode(shape)
     node.createCollisionAspect()
     node.createDynamicsAspect()
+    world.addSkeleton(skeleton)
+    return skeleton, body
 
 
 def _set_contact(skeleton: Any, friction: float, restitution: float) -> None:

@@ -12,8 +12,8 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions, Scene
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.adapter import EngineAdapter, Poses
-from imolo_backends.engines.engine_checks import FLOOR, Loaded, Touch, base_rotation, joint_index, turned_inertia
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import base_rotation, joint_index, turned_inertia
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
@@ -77,9 +77,10 @@ class MujocoEngine(EngineAdapter):
         self._ball_position = data.qpos[ball_angle : ball_angle + 3]
         self._ball_velocity = data.qvel[ball_dof : ball_dof + 3]
         self._ball_reaction = memoryview(data.qfrc_constraint)[ball_dof : ball_dof + 3]
-        # With slices these are views into MuJoCo's memory, and `motion` costs nothing.
-        self._motion = (data.qpos[self._angle_index], data.qvel[self._velocity_index], self._ball_velocity)
-        self._ordered = isinstance(self._velocity_index, slice)
+        self._views = isinstance(self._velocity_index, slice)
+        if self._views:
+            # MuJoCo's own memory, so that `motion` costs nothing.
+            self._motion = (data.qpos[self._angle_index], data.qvel[self._velocity_index], self._ball_velocity)
         self._links = joint_index([model.body(name).id for name in scene.link_names])
         self._body_position, self._body_rotation = data.xpos, data.xmat.reshape(-1, 3, 3)
         self._base_quaternion = data.xquat[model.body(scene.link_names[0]).id]
@@ -104,14 +105,14 @@ class MujocoEngine(EngineAdapter):
         self._ball_position[:] = scene.ball.position
         self._ball_velocity[:] = scene.ball.velocity
 
-    def advance(self, joint_torque: Array, ball_force: Array) -> bool:
+    def advance(self, joint_torque: Array, ball_force: Array) -> object:
         """See `EngineAdapter.advance`."""
         self._applied[self._velocity_index] = joint_torque
         self._ball_force[:] = ball_force
         mujoco.mj_step(self._model, self._data)
         reaction = self._ball_reaction
         # Cheaper than a look at the contact list, which always holds the feet.
-        return bool(reaction[0] or reaction[1] or reaction[2])
+        return reaction[0] or reaction[1] or reaction[2]
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -124,16 +125,19 @@ class MujocoEngine(EngineAdapter):
 
     def motion(self) -> tuple[Array, Array, Array]:
         """See `Engine.motion`."""
-        if self._ordered:
-            return self._motion
-        return self._data.qpos[self._angle_index], self._data.qvel[self._velocity_index], self._ball_velocity
+        return self._motion if self._views else super().motion()
+
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        joint_angle[:], joint_velocity[:] = self._data.qpos[self._angle_index], self._data.qvel[self._velocity_index]
+        ball_velocity[:] = self._ball_velocity
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
         # After mj_step the link poses are one step older than the joint angles.
         mujoco.mj_kinematics(self._model, self._data)
         links = self._links
-        return Poses(self._body_position[links], self._body_rotation[links], self._base_quaternion, self._ball_position)
+        return self._body_position[links], self._body_rotation[links], self._base_quaternion, self._ball_position
 
 
 def damping_ratio(restitution: float) -> float:

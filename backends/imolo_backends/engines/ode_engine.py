@@ -1,6 +1,5 @@
 """ODE, the paper's engine, as an `Engine`."""
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -13,9 +12,9 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
-from imolo_backends.engines.adapter import EngineAdapter, Poses
-from imolo_backends.engines.engine_checks import FLOOR, Loaded, Touch, check_value
-from imolo_backends.engines.ode_model import OdeRobot, make_body, ode
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import check_value
+from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding_direction
 from imolo_backends.simulation.simulated import simulated_plugin
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
@@ -27,7 +26,6 @@ PAPER_SETTINGS = {
     "max_contacts": 3,
     "friction": "pyramid",
 }
-SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
 
 
 class OdeOptions(EngineOptions):
@@ -95,9 +93,6 @@ class OdeEngine(EngineAdapter):
 
         self._fall = [g * scene.timestep for g in scene.gravity]
         self._ball_touches: list[tuple[Any, str, Any, Any]] = []
-        joints = len(scene.joint_names)
-        self._motion = np.empty(joints), np.empty(joints), np.empty(3)
-        self._motion_is_old = True
         return self._loaded()
 
     def advance(self, joint_torque: Array, ball_force: Array) -> bool:
@@ -110,9 +105,9 @@ class OdeEngine(EngineAdapter):
         _, velocity, ball_velocity = self.motion()
         total = sum(map(abs, (*torque, *force, *velocity.tolist(), *ball_velocity.tolist(), *self._robot.base_speed())))
         if not total < LARGEST:
+            what = f"torques {torque} N·m or ball force {force} N or speeds: {velocity.tolist()} rad/s, ball"
             raise DivergenceError(
-                f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: torques {torque} N·m "
-                f"or ball force {force} N or speeds: {velocity.tolist()} rad/s, ball {ball_velocity.tolist()} m/s"
+                f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: {what} {ball_velocity.tolist()} m/s"
             )
         # ODE forgets torques and forces after every step.
         for add, value in zip(self._add_torque, torque, strict=True):
@@ -122,7 +117,6 @@ class OdeEngine(EngineAdapter):
         ode.collide2(self._ball_shape, self._fixed_space, None, self._meet)
         ode.collide2(self._ball_shape, self._robot_space, None, self._meet)
         self._world.step(self._scene.timestep)
-        self._motion_is_old = True
         touched = bool(self._ball_touches)
         if touched:
             self._told = list(self._tell_touches())
@@ -152,7 +146,7 @@ class OdeEngine(EngineAdapter):
                 contact.setBounce(scene.restitution)
                 contact.setBounceVel(options.restitution_velocity)
             if options.friction == "sliding":
-                direction = _sliding_direction(first_body, second_body, position, normal, self._fall)
+                direction = sliding_direction(first_body, second_body, position, normal, self._fall)
                 if direction is not None:
                     mode |= ode.ContactFDir1
                     contact.setFDir1(direction)
@@ -176,18 +170,14 @@ class OdeEngine(EngineAdapter):
         """See `EngineAdapter.touches`."""
         return self._told
 
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
-        angle, velocity, ball_velocity = self._motion
-        if self._motion_is_old:
-            self._robot.write_motion(angle, velocity)
-            ball_velocity[:] = self._ball.getLinearVel()
-            self._motion_is_old = False
-        return self._motion
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        self._robot.write_motion(joint_angle, joint_velocity)
+        ball_velocity[:] = self._ball.getLinearVel()
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
-        return Poses(*self._robot.link_poses(), self._ball.getPosition())
+        return *self._robot.link_poses(), np.array(self._ball.getPosition())
 
     def close(self) -> None:
         """See `Engine.close`.
@@ -210,29 +200,6 @@ class OdeEngine(EngineAdapter):
             welded=True,
             resistance={"the world": (world.getLinearDamping(), world.getAngularDamping())},
         )
-
-
-def _sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> Any:
-    """Return the unit vector along which one body slides on the other, either way round; None where nothing slides.
-
-    Args:
-        first: A body; one of the two may be None, which is fixed.
-        second: The other one.
-        position: Contact point [m].
-        normal: Of the contact.
-        fall: Velocity that gravity adds in a step [m/s]; with it a body that rests on a ramp has a direction as well.
-    """
-    if first is None:
-        first, second = second, None
-    x, y, z = first.getPointVel(position)
-    vx, vy, vz = fall if second is None else second.getPointVel(position)
-    sign = 1.0 if second is None else -1.0
-    x, y, z = x + sign * vx, y + sign * vy, z + sign * vz
-    nx, ny, nz = normal
-    closing = x * nx + y * ny + z * nz
-    x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
-    speed = math.sqrt(x * x + y * y + z * z)
-    return (x / speed, y / speed, z / speed) if speed > SLIDING else None
 
 
 TUMBLING = "ODE damps what tumbles: its gyroscopic torque is implicit, of first order with a large error"

@@ -21,6 +21,8 @@ except (ImportError, AttributeError) as error:
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10
 
+SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
+
 Pose = tuple[Array, Array]
 
 
@@ -192,3 +194,26 @@ def make_body(world: Any, mass: float, inertia: Array) -> Any:
     made.setParameters(mass, 0.0, 0.0, 0.0, xx, yy, zz, xy, xz, yz)
     body.setMass(made)
     return body
+
+
+def sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> Any:
+    """Return the unit vector along which one body slides on the other, either way round; None where nothing slides.
+
+    Args:
+        first: A body; one of the two may be None, which is fixed.
+        second: The other one.
+        position: Contact point [m].
+        normal: Of the contact.
+        fall: Velocity that gravity adds in a step [m/s]; with it a body that rests on a ramp has a direction as well.
+    """
+    if first is None:
+        first, second = second, None
+    x, y, z = first.getPointVel(position)
+    vx, vy, vz = fall if second is None else second.getPointVel(position)
+    sign = 1.0 if second is None else -1.0
+    x, y, z = x + sign * vx, y + sign * vy, z + sign * vz
+    nx, ny, nz = normal
+    closing = x * nx + y * ny + z * nz
+    x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
+    speed = math.sqrt(x * x + y * y + z * z)
+    return (x / speed, y / speed, z / speed) if speed > SLIDING else None

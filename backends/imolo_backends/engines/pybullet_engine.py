@@ -14,8 +14,8 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.adapter import EngineAdapter, Poses
-from imolo_backends.engines.engine_checks import FLOOR, Loaded, Touch, base_rotation, rotation_matrices, turned_inertia
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import base_rotation, rotation_matrices, turned_inertia
 from imolo_backends.engines.quiet_import import import_quietly
 from imolo_backends.simulation.simulated import simulated_plugin
 
@@ -59,9 +59,9 @@ class PybulletEngine(EngineAdapter):
 
     def load(self, urdf: Path, robot: RobotModel, options: PybulletOptions) -> Loaded:
         """See `EngineAdapter.load`."""
-        scene = self._scene
-        client = self._client = pybullet.connect(pybullet.DIRECT)
-        self._at = {"physicsClientId": client}
+        scene, ball = self._scene, self._scene.ball
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self._at = {"physicsClientId": self._client}
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=scene.timestep,
             numSubSteps=0,
@@ -81,15 +81,11 @@ class PybulletEngine(EngineAdapter):
         self._names[self._add_body(pybullet.GEOM_PLANE), BASE] = FLOOR
         for box in scene.boxes:
             self._names[self._add_body(pybullet.GEOM_BOX, box.center, halfExtents=box.half_extents), BASE] = box.name
-        ball = scene.ball
         self._ball = self._add_body(pybullet.GEOM_SPHERE, ball.position, ball.mass, radius=ball.radius)
         self._set_dynamics()
         self._set_start()
 
         self._links_without_base = [self._link_index[name] for name in scene.link_names[1:]]
-        joints = len(scene.joint_names)
-        self._motion = np.zeros(joints), np.zeros(joints), np.zeros(3)
-        self._motion_is_old = True
         self._ball_velocity: tuple[float, float, float] = ball.velocity
         self._gain = scene.timestep / ball.mass  # [s/kg]
         self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
@@ -163,7 +159,6 @@ class PybulletEngine(EngineAdapter):
             center, _ = pybullet.getBasePositionAndOrientation(ball, client)
             pybullet.applyExternalForce(ball, BASE, force, center, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
-        self._motion_is_old = True
         before = self._ball_velocity
         self._ball_velocity = after = pybullet.getBaseVelocity(ball, client)[0]
         # What touches the ball adds to what force and gravity do; looking for contacts at every step would cost more.
@@ -181,16 +176,12 @@ class PybulletEngine(EngineAdapter):
         for point in pybullet.getContactPoints(self._ball, **self._at):
             yield self._names[point[2], point[4]], point[5], point[9]
 
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
-        angle, velocity, ball_velocity = self._motion
-        if self._motion_is_old:
-            if self._joints:
-                states = pybullet.getJointStates(self._robot, self._joints, self._client)
-                angle[:], velocity[:], _, _ = zip(*states, strict=True)
-            ball_velocity[:] = self._ball_velocity
-            self._motion_is_old = False
-        return self._motion
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        if self._joints:
+            states = pybullet.getJointStates(self._robot, self._joints, self._client)
+            joint_angle[:], joint_velocity[:], _, _ = zip(*states, strict=True)
+        ball_velocity[:] = self._ball_velocity
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
@@ -204,7 +195,8 @@ class PybulletEngine(EngineAdapter):
             turns += [link[5] for link in links]
         x, y, z, w = turns[0]
         ball_position, _ = pybullet.getBasePositionAndOrientation(self._ball, client)
-        return Poses(positions, ROTATION_MATRICES(np.array(turns)), (w, x, y, z), ball_position)
+        base_quaternion = np.array((w, x, y, z))
+        return np.array(positions), ROTATION_MATRICES(np.array(turns)), base_quaternion, np.array(ball_position)
 
     def close(self) -> None:
         """See `Engine.close`."""
