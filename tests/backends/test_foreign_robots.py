@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from imolo.contracts.engine import Ball, Engine, EngineState, Scene
 from imolo.contracts.urdf import read_urdf
 from imolo.errors import BackendError
-from imolo_backends.engines.plain_urdf import NO_MASS, plain_urdf
+from imolo_backends.engines.plain_urdf import NO_MASS, fill_masses, plain_urdf
 
 DT = 1e-4
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -95,7 +95,7 @@ def test_a_foreign_arm_falls_alike_in_every_engine_that_has_meshes(data: Path, r
 def test_masses_of_the_copy_are_those_of_the_file(data: Path, robot: str) -> None:
     # That an engine loaded the copy is what every constructor checks.
     model = read_urdf(data / robot)
-    with plain_urdf(data / robot) as copy:
+    with plain_urdf(data / robot, fill_masses(model)) as copy:
         plain = read_urdf(copy)
     assert list(plain.links) == list(model.links)
     assert list(plain.joints) == list(model.joints)

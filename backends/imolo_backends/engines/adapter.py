@@ -18,7 +18,7 @@ from imolo_backends.engines.engine_checks import (
     check_scene,
     merge_touches,
 )
-from imolo_backends.engines.plain_urdf import plain_urdf
+from imolo_backends.engines.plain_urdf import fill_masses, plain_urdf
 
 __all__ = ["FLOOR", "Body", "EngineAdapter", "Loaded", "Poses", "Touch"]
 
@@ -52,9 +52,9 @@ class EngineAdapter(ABC):
         joints = len(scene.joint_names)
         self._motion = np.zeros(joints), np.zeros(joints), np.zeros(3)
         self._motion_is_old = True
-        with plain_urdf(scene.urdf) as urdf:
-            robot = read_urdf(urdf)
-            check_scene(scene, robot)
+        robot = fill_masses(read_urdf(scene.urdf))
+        check_scene(scene, robot)
+        with plain_urdf(scene.urdf, robot) as urdf:
             try:
                 check_loaded(scene, robot, self.load(urdf, robot, options))
             except BaseException:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from imolo.contracts.engine import Array
-from imolo.contracts.urdf import Joint, Link, read_urdf
+from imolo.contracts.urdf import Joint, Link, RobotModel
 
 KEPT = {"link": ("inertial", "collision"), "joint": ("origin", "parent", "child", "axis", "limit")}
 # Engines clip at the limits of a motor; ours are the actuators' affair.
@@ -19,49 +20,52 @@ NO_LIMIT = "1e9"
 NO_MASS, NO_INERTIA = 1e-9, 1e-12
 
 
+def fill_masses(model: RobotModel) -> RobotModel:
+    """Return the robot with a mass too small to matter for each link that has none, which never moves on its own."""
+    filled = {
+        name: link if link.mass > 0.0 else replace(link, mass=NO_MASS, inertia=NO_INERTIA * np.eye(3))
+        for name, link in model.links.items()
+    }
+    return replace(model, links=filled)
+
+
 @contextmanager
-def plain_urdf(path: Path) -> Iterator[Path]:
+def plain_urdf(path: Path, robot: RobotModel) -> Iterator[Path]:
     """Write a copy of a URDF with only what a rigid body is, and remove it at the end.
 
     Left out are what is seen, damping and friction of joints, mimic and all extensions; effort and speed have no limit.
-    Axes have length 1. Links without mass, which never move on their own, have one that is too small to
-    matter. Each mesh is its convex hull, in a file beside the copy.
+    Axes have length 1. Each mesh is its convex hull, in a file beside the copy.
 
     Args:
         path: The robot's own URDF.
+        robot: What it says, with `fill_masses`.
 
     Yields:
         Path of the copy.
-
-    Raises:
-        BackendError: `read_urdf` refuses the file.
     """
-    model = read_urdf(path)
     root = ElementTree.parse(path).getroot()
     hulls = (f"hull_{number}.obj" for number in count())
     with TemporaryDirectory(prefix="imolo-") as folder:
         for element in list(root):
             name = element.get("name", "")
-            if name not in (model.links if element.tag == "link" else model.joints) or element.tag not in KEPT:
+            if name not in (robot.links if element.tag == "link" else robot.joints) or element.tag not in KEPT:
                 root.remove(element)
                 continue
             for part in list(element):
                 if part.tag not in KEPT[element.tag]:
                     element.remove(part)
             if element.tag == "joint":
-                _free(element, model.joints[name])
+                _free(element, robot.joints[name])
             else:
-                _fill(element, model.links[name], Path(folder), hulls)
+                _fill(element, robot.links[name], Path(folder), hulls)
         copy = Path(folder) / path.name
         ElementTree.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
         yield copy
 
 
 def _fill(element: ElementTree.Element, link: Link, folder: Path, hulls: Iterator[str]) -> None:
-    if link.mass == 0.0:
-        _replace_inertial(element, NO_MASS, np.zeros(3), NO_INERTIA * np.eye(3))
-    elif link.thin:
-        _replace_inertial(element, link.mass, link.com, link.inertia)
+    if link.mass == NO_MASS or link.thin:
+        _replace_inertial(element, link)
     for collision, shape in zip(element.findall("collision"), link.collisions, strict=True):
         if shape.mesh is not None:
             name = next(hulls)
@@ -69,16 +73,14 @@ def _fill(element: ElementTree.Element, link: Link, folder: Path, hulls: Iterato
             next(collision.iter("mesh")).attrib = {"filename": name}
 
 
-def _replace_inertial(element: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:
+def _replace_inertial(element: ElementTree.Element, link: Link) -> None:
     for old in element.findall("inertial"):
         element.remove(old)
     new = ElementTree.SubElement(element, "inertial")
-    ElementTree.SubElement(new, "origin", xyz=_text(com))
-    ElementTree.SubElement(new, "mass", value=repr(mass))
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    ElementTree.SubElement(
-        new, "inertia", dict(zip(keys, map(repr, inertia[np.triu_indices(3)].tolist()), strict=True))
-    )
+    ElementTree.SubElement(new, "origin", xyz=_text(link.com))
+    ElementTree.SubElement(new, "mass", value=repr(link.mass))
+    moments = map(repr, link.inertia[np.triu_indices(3)].tolist())
+    ElementTree.SubElement(new, "inertia", dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), moments, strict=True)))
 
 
 def _text(vector: Array) -> str:
