@@ -35,9 +35,9 @@ class EngineAdapter(ABC):
     """An `Engine`, but for what its physics library has to do and say.
 
     It reads the URDF, compares what was loaded with it, counts time, merges contacts and copies states. An adapter has
-    six methods. They are called in this order: `load` once; then `motion`, `advance`, and `touches` after an `advance`
-    that returned True, for every step; `poses` now and then, at the start as well; `close` at the end, also if `load`
-    fails.
+    six methods. They are called in this order: `load` once; then `write_motion`, `advance`, and `touches` after an
+    `advance` that returned something true, for every step; `poses` now and then, at the start as well; `close` at the
+    end, also if `load` fails.
     """
 
     def __init__(self, scene: Scene, options: Any) -> None:
