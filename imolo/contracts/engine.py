@@ -1,7 +1,23 @@
 """What an engine is: rigid-body dynamics of one robot, one ball and fixed boxes, and nothing else.
 
 World frame: x forward, y left, z up, floor at z = 0. Every array of joints follows `Scene.joint_names`, every array
-of links `Scene.link_names`. Quaternions are w, x, y, z.
+of links `Scene.link_names`. Quaternions are w, x, y, z. A prismatic joint has a way [m] where others have an angle
+[rad], and a force [N] where others have a torque [N·m].
+
+**The robot.** Links of a tree: `revolute`, `continuous`, `prismatic` and `fixed` joints. Its links do not collide with
+each other. Shapes that occur: boxes, spheres, cylinders and meshes, which stand for their convex hull in every engine
+(PyBullet keeps 1 mm around it; ODE has none and refuses them); beside the robot the ball, the floor and boxes. What a
+URDF says of motors (damping, friction, effort, speed, mimic, transmission) is not the engine's: torques come from
+actuators, which own it. So joints turn without resistance, at any speed and torque, up to their limits. A link without
+mass must be welded to one that has some, or to a fixed base.
+
+**Order of calls.** `__init__`; then `step` and `motion` for every step; `read` now and then, before the first step as
+well; `close` at the end, once or more, and nothing after it. There is one instance for each trial, and several live in
+one process.
+
+**Divergence.** A state that is not finite must be seen: `motion` and `read` show it, or `step` or `read` raises
+`DivergenceError`, as it must where the library would abort the process or replace what is not finite. Whoever runs the
+engine looks at each state that it reads.
 """
 
 from dataclasses import dataclass, field
@@ -42,11 +58,11 @@ class Scene:
 
     Attributes:
         urdf: Robot model; its links do not collide with each other.
-        joint_names: Revolute joints in the order of every joint array.
+        joint_names: All joints that move, in the order of every joint array.
         link_names: Links in the order of every link array; the first one is the base.
         base_position: Origin of the base link [m], shape (3,).
         base_quaternion: Rotation of the base link, w, x, y, z.
-        joint_angle: Joint angles at the start [rad].
+        joint_angle: Joint angles at the start [rad or m].
         ball: The ball.
         boxes: Fixed boxes beside the floor.
         timestep: Length of one step [s].
@@ -98,8 +114,8 @@ class EngineState:
 
     Attributes:
         time: Time since the start [s].
-        joint_angle: Joint angles [rad], shape (J,).
-        joint_velocity: Joint velocities [rad/s], shape (J,).
+        joint_angle: Joint angles [rad or m], shape (J,).
+        joint_velocity: Joint velocities [rad/s or m/s], shape (J,).
         link_position: Origins of the link frames in the world [m], shape (L, 3).
         link_rotation: Rotation matrices of the link frames, shape (L, 3, 3).
         base_quaternion: Rotation of the base link, w, x, y, z, shape (4,).
@@ -132,7 +148,8 @@ class Engine(Protocol):
     """One trial of one robot and one ball; a fresh instance per trial, since a reset engine is not a fresh one.
 
     The constructor takes the `Scene` and the engine's own options, and raises `BackendError` when what the engine
-    loaded is not what the scene asks for.
+    loaded is not what the scene asks for. `EngineAdapter` in `imolo_backends.engines.adapter` is all of it but what a
+    physics library does itself.
     """
 
     def __init__(self, scene: Scene, options: Any) -> None: ...
@@ -141,7 +158,7 @@ class Engine(Protocol):
         """Advance by exactly one timestep.
 
         Args:
-            joint_torque: Torques of the actuators about the joint axes [N·m], shape (J,).
+            joint_torque: Torques of the actuators about the joint axes [N·m], or forces along them [N], shape (J,).
             ball_force: External force on the ball's centre beside gravity, world frame [N], shape (3,).
         """
 

@@ -1,8 +1,6 @@
 """What every engine refuses, and how it tells contacts; what it computes is checked by the conformance kit."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,8 @@ from pydantic import ValidationError
 from imolo.contracts.engine import Array, Engine, EngineState, Scene
 from imolo.contracts.urdf import RobotModel, read_urdf
 from imolo.errors import BackendError
+from imolo_backends.engines import adapter
+from imolo_backends.engines.engine_checks import Loaded, check_loaded
 from imolo_robots.liberobot.body import (
     ARM_LINKS,
     JOINT_LIMITS,
@@ -40,33 +40,34 @@ def flying(**changes: Any) -> Scene:
     return replace(scene, **changes)
 
 
+def expect_otherwise(monkeypatch: pytest.MonkeyPatch, part: str, name: str, **changes: Any) -> None:
+    """Let the framework expect a link or joint that is not the URDF's, as if the engine had loaded it wrongly."""
+
+    def check(scene: Scene, model: RobotModel, loaded: Loaded) -> None:
+        items = getattr(model, part)
+        check_loaded(scene, replace(model, **{part: {**items, name: replace(items[name], **changes)}}), loaded)
+
+    monkeypatch.setattr(adapter, "check_loaded", check)
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [("mass", "mass of left_arm"), ("com", "COM of left_arm"), ("inertia", "inertia of left_arm")],
 )
 def test_a_link_that_is_not_the_urdfs_is_refused(
-    make_engine: Any, engine_module: ModuleType, monkeypatch: pytest.MonkeyPatch, value: str, message: str
+    make_engine: Any, monkeypatch: pytest.MonkeyPatch, value: str, message: str
 ) -> None:
-    def misread(path: Path) -> RobotModel:
-        model = read_urdf(path)
-        link = model.links["left_arm"]
-        model.links["left_arm"] = replace(link, **{value: getattr(link, value) * 1.001})
-        return model
-
-    monkeypatch.setattr(engine_module, "read_urdf", misread)
+    right = getattr(read_urdf(ready_scene().urdf).links["left_arm"], value)
+    expect_otherwise(monkeypatch, "links", "left_arm", **{value: 1.001 * right})
     with pytest.raises(BackendError, match=message):
         make_engine(ready_scene())
 
 
+@pytest.mark.parametrize("limits", [(0.0, 2.0), None])
 def test_a_limit_that_is_not_the_urdfs_is_refused(
-    make_engine: Any, engine_module: ModuleType, monkeypatch: pytest.MonkeyPatch
+    make_engine: Any, monkeypatch: pytest.MonkeyPatch, limits: Any
 ) -> None:
-    def misread(path: Path) -> RobotModel:
-        model = read_urdf(path)
-        model.joints["left_knee"] = replace(model.joints["left_knee"], limits=(0.0, 2.0))
-        return model
-
-    monkeypatch.setattr(engine_module, "read_urdf", misread)
+    expect_otherwise(monkeypatch, "joints", "left_knee", limits=limits)
     with pytest.raises(BackendError, match="limits of left_knee"):
         make_engine(ready_scene())
 

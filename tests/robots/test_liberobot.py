@@ -214,8 +214,8 @@ def test_the_lowest_point_of_a_shape_is_its_reach_below_the_center(
     ("old", "new", "message"),
     [
         ('<mass value="0.2"/>', '<mass value="0"/>', "mass 0.0 kg"),
-        ("<sphere radius", "<mesh radius", "<mesh> is not supported"),
-        ('type="revolute"', 'type="prismatic"', "is 'prismatic'"),
+        ("<sphere radius", "<plane radius", "<plane> is not supported"),
+        ('type="revolute"', 'type="planar"', "is 'planar'"),
         ("</robot>", "", "cannot read URDF"),
         ('<child link="left_arm"/>', '<child link="right_arm"/>', "exactly one base link"),
     ],

@@ -1,18 +1,80 @@
-"""What every engine checks and collects in the same way: the model it loaded and the ball's contacts."""
+"""What is checked and collected in the same way for every engine: the model it loaded and the ball's contacts."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from imolo.contracts.engine import Array, BallContact, Scene
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, did_you_mean
+from imolo_backends.engines.rigid_parts import merge_fixed
 
 FLOOR = "floor"
+NEGLIGIBLE = 1e-6  # [kg] less than any real link; `plain_urdf` gives less to a link without mass
 RELATIVE_TOLERANCE = 1e-6  # Loading a model copies numbers; PyBullet diagonalises inertias on the way.
 
 Touch = tuple[str, Sequence[float] | Array, float]
 """What the ball touched, where [m], and with which normal force [N]."""
+
+Numbers = float | Sequence[float] | Array
+Body = tuple[float, Numbers, Array]
+"""Mass [kg], COM in the body's frame [m], shape (3,), and inertia about the COM in the frame's axes [kg m²], (3, 3)."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What an engine says that it holds, read back from it.
+
+    Attributes:
+        links: The links; of a fixed base, any mass will do.
+        ball: The ball.
+        gravity: Acceleration of free fall [m/s²], shape (3,).
+        limits: By joint: lowest and highest angle [rad] or way [m]; joints without limits are left out.
+        timestep: Length of a step [s]; None where it is an argument of every step.
+        friction: Of each shape or body its name and coefficient of friction, in the scene's terms [-]; empty where it
+            is set at every contact.
+        welded: Whether what fixed joints hold together is one body, under the name of its first link.
+        resistance: By joint: damping, friction and whatever else resists it, which must all be 0.
+    """
+
+    links: Mapping[str, Body]
+    ball: Body
+    gravity: Numbers
+    limits: Mapping[str, Sequence[float]]
+    timestep: float | None
+    friction: Sequence[tuple[str, float]] = ()
+    welded: bool = False
+    resistance: Mapping[str, Numbers] = field(default_factory=dict)
+
+
+def check_loaded(scene: Scene, model: RobotModel, loaded: Loaded) -> None:
+    """Compare what an engine holds with what the scene and the URDF ask for.
+
+    Raises:
+        BackendError: Something is missing, or a value differs.
+    """
+    parts = merge_fixed(model) if loaded.welded else model
+    if set(loaded.links) != set(parts.links):
+        raise BackendError(f"links are {sorted(loaded.links)} in the engine; expected {sorted(parts.links)}")
+    for name, link in parts.links.items():
+        if not (scene.fixed_base and name == parts.base):
+            _check_body(name, loaded.links[name], (link.mass, link.com, link.inertia))
+    _check_body("the ball", loaded.ball, (scene.ball.mass, np.zeros(3), scene.ball.inertia * np.eye(3)))
+    check_value("gravity [m/s²]", loaded.gravity, scene.gravity)
+    if loaded.timestep is not None:
+        check_value("timestep [s]", loaded.timestep, scene.timestep)
+    for name, friction in loaded.friction:
+        check_value(f"friction of {name} [-]", friction, scene.friction)
+    for name, resistance in loaded.resistance.items():
+        check_value(f"damping and friction of {name}", resistance, np.zeros(np.shape(resistance)))
+    for name in scene.joint_names:
+        limits = model.joints[name].limits
+        if (limits is not None) != (name in loaded.limits):
+            raise BackendError(f"limits of {name} are {loaded.limits.get(name)} in the engine; expected {limits}")
+        if limits is not None:
+            check_value(f"limits of {name} [rad or m]", loaded.limits[name], limits)
 
 
 def check_scene(scene: Scene, model: RobotModel) -> None:
@@ -30,6 +92,8 @@ def check_scene(scene: Scene, model: RobotModel) -> None:
         raise BackendError(f"{scene.urdf.name} moves {sorted(movable)}; the scene names {sorted(scene.joint_names)}")
     if scene.link_names[0] != model.base:
         raise BackendError(f"first link is {scene.link_names[0]!r}; expected the base {model.base!r}")
+    if model.links[model.base].mass < NEGLIGIBLE and not scene.fixed_base:
+        raise BackendError(f"base {model.base!r} has no mass and is to move; give it an <inertial>, or set fixed_base")
     if len(scene.joint_angle) != len(scene.joint_names):
         raise BackendError(f"{len(scene.joint_angle)} joint angles for {len(scene.joint_names)} joints")
     reserved = [FLOOR, *model.links]
@@ -39,7 +103,7 @@ def check_scene(scene: Scene, model: RobotModel) -> None:
         reserved.append(box.name)
 
 
-def check_value(what: str, loaded: float | Sequence[float] | Array, expected: float | Sequence[float] | Array) -> None:
+def check_value(what: str, loaded: Numbers, expected: Numbers) -> None:
     """Raise `BackendError` naming the value unless the engine holds what it was given."""
     got, want = np.asarray(loaded, dtype=np.float64), np.asarray(expected, dtype=np.float64)
     scale = float(np.abs(want).max(initial=0.0))
@@ -47,24 +111,10 @@ def check_value(what: str, loaded: float | Sequence[float] | Array, expected: fl
         raise BackendError(f"{what} is {got.tolist()} in the engine; expected {want.tolist()}")
 
 
-def check_links(model: RobotModel, loaded: dict[str, tuple[float, Array, Array]]) -> None:
-    """Compare the links with the URDF.
-
-    Args:
-        model: What the URDF says.
-        loaded: By link: mass [kg], COM in the link frame [m], and inertia about the COM in link axes [kg m²].
-
-    Raises:
-        BackendError: A link is missing, or a value differs.
-    """
-    for name, link in model.links.items():
-        if name not in loaded:
-            raise BackendError(f"link {name!r} is missing in the engine; it has {sorted(loaded)}")
-        mass, com, inertia = loaded[name]
-        check_value(f"mass of {name} [kg]", mass, link.mass)
-        check_value(f"COM of {name} [m]", com, link.com)
-        check_value(f"inertia of {name} [kg m²]", inertia, link.inertia)
-    check_value("total mass of the robot [kg]", sum(mass for mass, _, _ in loaded.values()), model.mass)
+def _check_body(name: str, loaded: Body, expected: Body) -> None:
+    for what, held, wanted in zip(("mass [kg]", "COM [m]", "inertia [kg m²]"), loaded, expected, strict=True):
+        quantity, unit = what.split(" ", 1)
+        check_value(f"{quantity} of {name} {unit}", held, wanted)
 
 
 def merge_touches(time: float, touches: Iterable[Touch]) -> list[BallContact]:
@@ -79,6 +129,14 @@ def merge_touches(time: float, touches: Iterable[Touch]) -> list[BallContact]:
         middle = np.sum([force * position for position, force in parts], axis=0) / total
         contacts.append(BallContact(time, other, middle, total))
     return contacts
+
+
+def joint_index(numbers: Sequence[int]) -> Any:
+    """Return what picks these numbers out of an array: a slice, which copies nothing, where they follow each other."""
+    start = numbers[0] if numbers else 0
+    if list(numbers) == list(range(start, start + len(numbers))):
+        return slice(start, start + len(numbers))
+    return np.array(numbers)
 
 
 def rotation_matrices(quaternions: Array) -> Array:

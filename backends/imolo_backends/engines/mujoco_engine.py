@@ -1,5 +1,7 @@
 """MuJoCo as an `Engine`."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
@@ -7,18 +9,11 @@ import numpy as np
 
 from imolo.config.model import Positive
 from imolo.conformance import Limitation
-from imolo.contracts.engine import Array, BallContact, EngineOptions, EngineState, Scene
-from imolo.contracts.urdf import RobotModel, read_urdf
+from imolo.contracts.engine import Array, EngineOptions, Scene
+from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.engine_checks import (
-    FLOOR,
-    base_rotation,
-    check_links,
-    check_scene,
-    check_value,
-    merge_touches,
-    turned_inertia,
-)
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import base_rotation, joint_index, turned_inertia
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
@@ -59,28 +54,22 @@ class MujocoOptions(EngineOptions):
         return 4 if self.integrator == "rk4" else 1
 
 
-class MujocoEngine:
+class MujocoEngine(EngineAdapter):
     """One trial in MuJoCo."""
 
-    def __init__(self, scene: Scene, options: MujocoOptions) -> None:
-        robot = read_urdf(scene.urdf)
-        check_scene(scene, robot)
-        self._scene = scene
+    def load(self, urdf: Path, robot: RobotModel, options: MujocoOptions) -> Loaded:
+        """See `EngineAdapter.load`."""
+        scene = self._scene
         try:
-            self._model = _build(scene, options).compile()
+            self._model = _build(scene, options, urdf).compile()
         except ValueError as error:
             raise BackendError(f"MuJoCo cannot load {scene.urdf}: {error}") from error
-        model, data = self._model, mujoco.MjData(self._model)
-        self._data = data
-        _check(model, scene, robot)
+        model = self._model
+        data = self._data = mujoco.MjData(model)
 
         joints = [model.joint(name) for name in scene.joint_names]
-        angle_index = _slice_if_contiguous([joint.qposadr[0] for joint in joints])
-        velocity_index = _slice_if_contiguous([joint.dofadr[0] for joint in joints])
-        self._angle_index, self._velocity_index = angle_index, velocity_index
-        # With a slice these are views into MuJoCo's memory, and `motion` costs nothing.
-        self._ordered = isinstance(velocity_index, slice)
-        self._torque_index = velocity_index
+        self._angle_index = joint_index([joint.qposadr[0] for joint in joints])
+        self._velocity_index = joint_index([joint.dofadr[0] for joint in joints])
         ball_dof = model.body(BALL).dofadr[0]
         ball_angle = model.jnt_qposadr[model.body(BALL).jntadr[0]]
         self._applied = data.qfrc_applied
@@ -88,19 +77,19 @@ class MujocoEngine:
         self._ball_position = data.qpos[ball_angle : ball_angle + 3]
         self._ball_velocity = data.qvel[ball_dof : ball_dof + 3]
         self._ball_reaction = memoryview(data.qfrc_constraint)[ball_dof : ball_dof + 3]
-        self._motion = (data.qpos[angle_index], data.qvel[velocity_index], self._ball_velocity)
-        self._links = _slice_if_contiguous([model.body(name).id for name in scene.link_names])
+        self._views = isinstance(self._velocity_index, slice)
+        if self._views:
+            # MuJoCo's own memory, so that `motion` costs nothing.
+            self._motion = (data.qpos[self._angle_index], data.qvel[self._velocity_index], self._ball_velocity)
+        self._links = joint_index([model.body(name).id for name in scene.link_names])
         self._body_position, self._body_rotation = data.xpos, data.xmat.reshape(-1, 3, 3)
         self._base_quaternion = data.xquat[model.body(scene.link_names[0]).id]
         self._ball_geom = model.geom(BALL).id
-        fixed = {FLOOR, *(box.name for box in scene.boxes)}
-        self._geom_names = [
-            geom.name if geom.name in fixed else model.body(geom.bodyid[0]).name
-            for geom in map(model.geom, range(model.ngeom))
-        ]
-        self._contacts: list[BallContact] = []
-        self._steps = 0
+        # What is fixed is a shape of the world, and shapes of links have no names.
+        geoms = map(model.geom, range(model.ngeom))
+        self._geom_names = [model.body(geom.bodyid[0]).name if geom.bodyid[0] else geom.name for geom in geoms]
         self._start()
+        return _loaded(model, scene)
 
     def _start(self) -> None:
         scene, data = self._scene, self._data
@@ -116,55 +105,39 @@ class MujocoEngine:
         self._ball_position[:] = scene.ball.position
         self._ball_velocity[:] = scene.ball.velocity
 
-    def step(self, joint_torque: Array, ball_force: Array) -> None:
-        """See `Engine.step`."""
-        self._applied[self._torque_index] = joint_torque
+    def advance(self, joint_torque: Array, ball_force: Array) -> object:
+        """See `EngineAdapter.advance`."""
+        self._applied[self._velocity_index] = joint_torque
         self._ball_force[:] = ball_force
         mujoco.mj_step(self._model, self._data)
-        self._steps += 1
         reaction = self._ball_reaction
         # Cheaper than a look at the contact list, which always holds the feet.
-        if reaction[0] or reaction[1] or reaction[2]:
-            self._collect_contacts()
+        return reaction[0] or reaction[1] or reaction[2]
 
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
-        if self._ordered:
-            return self._motion
-        return self._data.qpos[self._angle_index], self._data.qvel[self._velocity_index], self._ball_velocity
-
-    def read(self) -> EngineState:
-        """See `Engine.read`."""
-        model, data = self._model, self._data
-        # After mj_step the link poses are one step older than the joint angles.
-        mujoco.mj_kinematics(model, data)
-        contacts, self._contacts = tuple(self._contacts), []
-        angle, velocity, _ = self.motion()
-        return EngineState(
-            time=self._steps * self._scene.timestep,
-            joint_angle=angle.copy(),
-            joint_velocity=velocity.copy(),
-            link_position=self._body_position[self._links].copy(),
-            link_rotation=self._body_rotation[self._links].copy(),
-            base_quaternion=self._base_quaternion.copy(),
-            ball_position=self._ball_position.copy(),
-            ball_velocity=self._ball_velocity.copy(),
-            ball_contacts=contacts,
-        )
-
-    def close(self) -> None:
-        """See `Engine.close`; MuJoCo frees its memory with the object."""
-
-    def _collect_contacts(self) -> None:
-        time = self._steps * self._scene.timestep
+    def touches(self) -> Iterator[Touch]:
+        """See `EngineAdapter.touches`."""
         wrench = np.zeros(6)
-        touches = []
         for index, (first, second) in enumerate(self._data.contact.geom.tolist()):
             if self._ball_geom in (first, second):
                 mujoco.mj_contactForce(self._model, self._data, index, wrench)
                 other = self._geom_names[first if second == self._ball_geom else second]
-                touches.append((other, self._data.contact.pos[index], float(wrench[0])))
-        self._contacts += merge_touches(time, touches)
+                yield other, self._data.contact.pos[index], float(wrench[0])
+
+    def motion(self) -> tuple[Array, Array, Array]:
+        """See `Engine.motion`."""
+        return self._motion if self._views else super().motion()
+
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        joint_angle[:], joint_velocity[:] = self._data.qpos[self._angle_index], self._data.qvel[self._velocity_index]
+        ball_velocity[:] = self._ball_velocity
+
+    def poses(self) -> Poses:
+        """See `EngineAdapter.poses`."""
+        # After mj_step the link poses are one step older than the joint angles.
+        mujoco.mj_kinematics(self._model, self._data)
+        links = self._links
+        return self._body_position[links], self._body_rotation[links], self._base_quaternion, self._ball_position
 
 
 def damping_ratio(restitution: float) -> float:
@@ -178,8 +151,8 @@ def damping_ratio(restitution: float) -> float:
     return float(np.sin(np.interp(-restitution, -bounce, angle, right=0.5 * np.pi)))
 
 
-def _build(scene: Scene, options: MujocoOptions) -> Any:
-    spec = mujoco.MjSpec.from_file(str(scene.urdf))
+def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
+    spec = mujoco.MjSpec.from_file(str(urdf))
     # Otherwise the base would become part of the world.
     spec.compiler.fusestatic = False
     spec.option.timestep = scene.timestep
@@ -199,17 +172,15 @@ def _build(scene: Scene, options: MujocoOptions) -> Any:
         base.add_freejoint()
 
     world = spec.worldbody
-    floor = world.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(50.0, 50.0, 1.0))
-    _set_contact(floor, FIXED_MASK, scene.friction, options.solref)
+    fixed = [world.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(50.0, 50.0, 1.0))]
     for box in scene.boxes:
-        geom = world.add_geom(name=box.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=box.center, size=box.half_extents)
+        kind = mujoco.mjtGeom.mjGEOM_BOX
+        fixed.append(world.add_geom(name=box.name, type=kind, pos=box.center, size=box.half_extents))
+    for geom in fixed:
         _set_contact(geom, FIXED_MASK, scene.friction, options.solref)
-
     ball = scene.ball
     # Left out, `ipos` would be a copy of `pos` (4.0.1), far from the ball.
-    body = world.add_body(
-        name=BALL, pos=ball.position, mass=ball.mass, inertia=[ball.inertia] * 3, ipos=(0.0, 0.0, 0.0)
-    )
+    body = world.add_body(name=BALL, pos=ball.position, mass=ball.mass, inertia=[ball.inertia] * 3, ipos=[0.0] * 3)
     body.explicitinertial = True
     body.add_freejoint()
     geom = body.add_geom(name=BALL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(ball.radius, 0.0, 0.0))
@@ -229,39 +200,22 @@ def _set_contact(geom: Any, mask: tuple[int, int], friction: float, solref: tupl
     geom.solref = solref
 
 
-def _slice_if_contiguous(indices: list[int]) -> Any:
-    start = indices[0] if indices else 0
-    if indices == list(range(start, start + len(indices))):
-        return slice(start, start + len(indices))
-    return np.array(indices)
-
-
-def _check(model: Any, scene: Scene, robot: RobotModel) -> None:
-    bodies = [model.body(index) for index in range(1, model.nbody)]
-    links = [body for body in bodies if body.name != BALL]
-    inertia = {}
-    for body in links:
-        w, x, y, z = body.iquat
-        inertia[body.name] = turned_inertia(np.array([x, y, z, w]), body.inertia)
-    check_links(robot, {body.name: (float(body.mass[0]), body.ipos, inertia[body.name]) for body in links})
-    check_value("timestep [s]", model.opt.timestep, scene.timestep)
-    check_value("gravity [m/s²]", model.opt.gravity, scene.gravity)
-    check_value("friction of the shapes [-]", model.geom_friction[:, 0], np.full(model.ngeom, scene.friction))
-    check_value(
-        "damping and friction of the joints", [model.dof_damping, model.dof_frictionloss], np.zeros((2, model.nv))
+def _loaded(model: Any, scene: Scene) -> Loaded:
+    bodies = {}
+    for body in map(model.body, range(1, model.nbody)):
+        inertia = turned_inertia(np.roll(body.iquat, -1), body.inertia)
+        bodies[body.name] = (float(body.mass[0]), body.ipos, inertia)
+    limited = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT
+    joints = map(model.joint, scene.joint_names)
+    return Loaded(
+        ball=bodies.pop(BALL),
+        links=bodies,
+        gravity=model.opt.gravity,
+        limits={joint.name: joint.range for joint in joints if limited and joint.limited[0]},
+        timestep=model.opt.timestep,
+        friction=[(f"shape {number}", value) for number, value in enumerate(model.geom_friction[:, 0])],
+        resistance={"the joints": [model.dof_damping, model.dof_frictionloss]},
     )
-    ball = model.body(BALL)
-    check_value(
-        "mass and inertia of the ball", [*ball.mass, *ball.inertia], [scene.ball.mass, *[scene.ball.inertia] * 3]
-    )
-    check_value("COM of the ball [m]", ball.ipos, np.zeros(3))
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT:
-        raise BackendError("joint limits are disabled in MuJoCo")
-    for name in scene.joint_names:
-        limits = robot.joints[name].limits
-        check_value(f"{name} has a limit", float(model.joint(name).limited[0]), float(limits is not None))
-        if limits is not None:
-            check_value(f"limits of {name} [rad]", model.joint(name).range, limits)
 
 
 CREEP = "soft friction gives way a little beside the slip, for the contact's impedance is 0.9 to 0.95, not 1"

@@ -1,6 +1,7 @@
 """ODE, the paper's engine, as an `Engine`."""
 
-import math
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -8,11 +9,12 @@ from pydantic import PositiveInt, model_validator
 
 from imolo.config.model import Fraction, NonNegative
 from imolo.conformance import Limitation
-from imolo.contracts.engine import Array, BallContact, EngineOptions, EngineState, Scene
-from imolo.contracts.urdf import RobotModel, read_urdf
+from imolo.contracts.engine import Array, EngineOptions
+from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
-from imolo_backends.engines.engine_checks import FLOOR, check_scene, check_value, merge_touches
-from imolo_backends.engines.ode_model import OdeRobot, make_body, ode
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.engine_checks import check_value
+from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding_direction
 from imolo_backends.simulation.simulated import simulated_plugin
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
@@ -24,7 +26,6 @@ PAPER_SETTINGS = {
     "max_contacts": 3,
     "friction": "pyramid",
 }
-SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
 
 
 class OdeOptions(EngineOptions):
@@ -61,13 +62,12 @@ class OdeOptions(EngineOptions):
         return given
 
 
-class OdeEngine:
+class OdeEngine(EngineAdapter):
     """One trial in ODE, in a world of its own."""
 
-    def __init__(self, scene: Scene, options: OdeOptions) -> None:
-        robot = read_urdf(scene.urdf)
-        check_scene(scene, robot)
-        self._scene = scene
+    def load(self, urdf: Path, robot: RobotModel, options: OdeOptions) -> Loaded:
+        """See `EngineAdapter.load`."""
+        scene = self._scene
         self._options = options
         world = self._world = ode.World()
         world.setGravity(scene.gravity)
@@ -75,9 +75,9 @@ class OdeEngine:
         world.setCFM(options.cfm)
         self._contact_joints = ode.JointGroup()
         self._robot_space, self._fixed_space = ode.SimpleSpace(), ode.SimpleSpace()
-        self._robot = OdeRobot(world, self._robot_space, scene, options.stop_erp)
+        self._robot = OdeRobot(world, self._robot_space, scene, robot, options.stop_erp)
         self._shapes = dict(self._robot.shapes)
-        self._add_torque = [hinge.addTorque for hinge in self._robot.hinges]
+        self._add_torque = self._robot.add_torque
 
         self._ball = make_body(world, scene.ball.mass, scene.ball.inertia * np.eye(3))
         self._ball_shape = ode.GeomSphere(None, scene.ball.radius)
@@ -93,15 +93,10 @@ class OdeEngine:
 
         self._fall = [g * scene.timestep for g in scene.gravity]
         self._ball_touches: list[tuple[Any, str, Any, Any]] = []
-        self._contacts: list[BallContact] = []
-        joints = len(scene.joint_names)
-        self._motion = np.empty(joints), np.empty(joints), np.empty(3)
-        self._motion_is_old = True
-        self._steps = 0
-        self._check(robot)
+        return self._loaded()
 
-    def step(self, joint_torque: Array, ball_force: Array) -> None:
-        """See `Engine.step`.
+    def advance(self, joint_torque: Array, ball_force: Array) -> bool:
+        """See `EngineAdapter.advance`.
 
         Raises:
             DivergenceError: A torque, force or speed is out of bounds, with which ODE might abort the process.
@@ -110,9 +105,9 @@ class OdeEngine:
         _, velocity, ball_velocity = self.motion()
         total = sum(map(abs, (*torque, *force, *velocity.tolist(), *ball_velocity.tolist(), *self._robot.base_speed())))
         if not total < LARGEST:
+            what = f"torques {torque} N·m or ball force {force} N or speeds: {velocity.tolist()} rad/s, ball"
             raise DivergenceError(
-                f"not finite or beyond {LARGEST:g} at {self._steps * self._scene.timestep:.4f} s: torques {torque} N·m "
-                f"or ball force {force} N or speeds: {velocity.tolist()} rad/s, ball {ball_velocity.tolist()} m/s"
+                f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: {what} {ball_velocity.tolist()} m/s"
             )
         # ODE forgets torques and forces after every step.
         for add, value in zip(self._add_torque, torque, strict=True):
@@ -122,12 +117,12 @@ class OdeEngine:
         ode.collide2(self._ball_shape, self._fixed_space, None, self._meet)
         ode.collide2(self._ball_shape, self._robot_space, None, self._meet)
         self._world.step(self._scene.timestep)
-        self._steps += 1
-        self._motion_is_old = True
-        if self._ball_touches:
-            self._collect_contacts()
+        touched = bool(self._ball_touches)
+        if touched:
+            self._told = list(self._tell_touches())
         self._contact_joints.empty()
         self._robot.count_turns()
+        return touched
 
     def _meet(self, _: None, first: Any, second: Any) -> None:
         contacts = ode.collide(first, second)
@@ -151,7 +146,7 @@ class OdeEngine:
                 contact.setBounce(scene.restitution)
                 contact.setBounceVel(options.restitution_velocity)
             if options.friction == "sliding":
-                direction = _sliding_direction(first_body, second_body, position, normal, self._fall)
+                direction = sliding_direction(first_body, second_body, position, normal, self._fall)
                 if direction is not None:
                     mode |= ode.ContactFDir1
                     contact.setFDir1(direction)
@@ -163,41 +158,26 @@ class OdeEngine:
                 other = second_name if first_body is self._ball else first_name
                 self._ball_touches.append((joint, other, position, normal))
 
-    def _collect_contacts(self) -> None:
-        touches = []
+    def _tell_touches(self) -> Iterator[Touch]:
         for joint, other, position, normal in self._ball_touches:
             force = joint.getFeedback()[0]
-            touches.append((other, position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))))
+            yield other, position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))
             # With it the process would abort when the joint is removed.
             joint.setFeedback(False)
         self._ball_touches.clear()
-        self._contacts += merge_touches(self._steps * self._scene.timestep, touches)
 
-    def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`."""
-        angle, velocity, ball_velocity = self._motion
-        if self._motion_is_old:
-            self._robot.write_motion(angle, velocity)
-            ball_velocity[:] = self._ball.getLinearVel()
-            self._motion_is_old = False
-        return self._motion
+    def touches(self) -> list[Touch]:
+        """See `EngineAdapter.touches`."""
+        return self._told
 
-    def read(self) -> EngineState:
-        """See `Engine.read`."""
-        position, rotation, base_quaternion = self._robot.link_poses()
-        angle, velocity, ball_velocity = self.motion()
-        contacts, self._contacts = tuple(self._contacts), []
-        return EngineState(
-            time=self._steps * self._scene.timestep,
-            joint_angle=angle.copy(),
-            joint_velocity=velocity.copy(),
-            link_position=position,
-            link_rotation=rotation,
-            base_quaternion=base_quaternion,
-            ball_position=np.array(self._ball.getPosition()),
-            ball_velocity=ball_velocity.copy(),
-            ball_contacts=contacts,
-        )
+    def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
+        """See `EngineAdapter.write_motion`."""
+        self._robot.write_motion(joint_angle, joint_velocity)
+        ball_velocity[:] = self._ball.getLinearVel()
+
+    def poses(self) -> Poses:
+        """See `EngineAdapter.poses`."""
+        return *self._robot.link_poses(), np.array(self._ball.getPosition())
 
     def close(self) -> None:
         """See `Engine.close`.
@@ -207,39 +187,19 @@ class OdeEngine:
         """
         vars(self).clear()
 
-    def _check(self, robot: RobotModel) -> None:
-        scene, world, options = self._scene, self._world, self._options
-        self._robot.check(robot, options.stop_erp, options.cfm)
-        ball = self._ball.getMass()
-        check_value("mass of the ball [kg]", ball.mass, scene.ball.mass)
-        check_value("inertia of the ball [kg m²]", ball.I, scene.ball.inertia * np.eye(3))
-        check_value("gravity [m/s²]", world.getGravity(), scene.gravity)
+    def _loaded(self) -> Loaded:
+        world, options, ball = self._world, self._options, self._ball.getMass()
         check_value("ERP and CFM of the joints", (world.getERP(), world.getCFM()), (options.erp, options.cfm))
-        check_value("damping [-]", (world.getLinearDamping(), world.getAngularDamping()), (0.0, 0.0))
         check_value("auto-disable flag", world.getAutoDisableFlag(), 0.0)
-
-
-def _sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> Any:
-    """Return the unit vector along which one body slides on the other, either way round; None where nothing slides.
-
-    Args:
-        first: A body; one of the two may be None, which is fixed.
-        second: The other one.
-        position: Contact point [m].
-        normal: Of the contact.
-        fall: Velocity that gravity adds in a step [m/s]; with it a body that rests on a ramp has a direction as well.
-    """
-    if first is None:
-        first, second = second, None
-    x, y, z = first.getPointVel(position)
-    vx, vy, vz = fall if second is None else second.getPointVel(position)
-    sign = 1.0 if second is None else -1.0
-    x, y, z = x + sign * vx, y + sign * vy, z + sign * vz
-    nx, ny, nz = normal
-    closing = x * nx + y * ny + z * nz
-    x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
-    speed = math.sqrt(x * x + y * y + z * z)
-    return (x / speed, y / speed, z / speed) if speed > SLIDING else None
+        return Loaded(
+            links=self._robot.loaded_links(),
+            ball=(ball.mass, ball.c, np.array(ball.I)),
+            gravity=world.getGravity(),
+            limits=self._robot.loaded_limits(options.stop_erp, options.cfm),
+            timestep=None,
+            welded=True,
+            resistance={"the world": (world.getLinearDamping(), world.getAngularDamping())},
+        )
 
 
 TUMBLING = "ODE damps what tumbles: its gyroscopic torque is implicit, of first order with a large error"

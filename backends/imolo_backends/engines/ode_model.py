@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from imolo.contracts.engine import Array, Scene
-from imolo.contracts.urdf import CollisionShape, Joint, RobotModel, read_urdf
+from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.engine_checks import base_rotation, check_links, check_value
+from imolo_backends.engines.engine_checks import Body, base_rotation, check_value
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
 
 try:
@@ -21,6 +21,8 @@ except (ImportError, AttributeError) as error:
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10
 
+SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
+
 Pose = tuple[Array, Array]
 
 
@@ -31,11 +33,11 @@ class OdeRobot:
 
     Attributes:
         shapes: By collision shape: the body it moves with, None for what is fixed, and the name of its link.
-        hinges: In the order of the scene's joints.
+        hinges: In the order of the scene's joints; sliders among them.
+        add_torque: In the same order, what adds a torque [N·m] or force [N] for the next step.
     """
 
-    def __init__(self, world: Any, space: Any, scene: Scene, stop_erp: float) -> None:
-        robot = read_urdf(scene.urdf)
+    def __init__(self, world: Any, space: Any, scene: Scene, robot: RobotModel, stop_erp: float) -> None:
         self._world, self._scene = world, scene
         self._model = model = merge_fixed(robot)
         self._places = find_places(robot)
@@ -45,11 +47,11 @@ class OdeRobot:
             for name, link in model.links.items()
             if not (scene.fixed_base and name == model.base)
         }
-        # ODE's angles are zero where the joint is made, and stops must lie within half a turn of it.
+        # ODE's angles and ways are zero where the joint is made, and stops must lie within half a turn of it.
         zero = {name: sum(model.joints[name].limits or (0.0, 0.0)) / 2.0 for name in scene.joint_names}
         poses = model.link_poses(zero, *base)
         self._place_bodies(poses)
-        self.hinges = [self._make_hinge(model.joints[name], poses, stop_erp) for name in scene.joint_names]
+        self.hinges = [self._make_joint(model.joints[name], poses, stop_erp) for name in scene.joint_names]
         self.shapes: dict[Any, tuple[Any, str]] = {}
         for name, link in robot.links.items():
             for collision in link.collisions:
@@ -57,12 +59,16 @@ class OdeRobot:
         self._start()
 
         self._zero = np.array([zero[name] for name in scene.joint_names])
-        self._wrapped = [hinge.getAngle() for hinge in self.hinges]
-        self._turning = [i for i, name in enumerate(scene.joint_names) if model.joints[name].limits is None]
+        kinds = [model.joints[name].kind for name in scene.joint_names]
+        sliding = [kind == "prismatic" for kind in kinds]
+        moving = list(zip(self.hinges, sliding, strict=True))
+        self.add_torque = [joint.addForce if slides else joint.addTorque for joint, slides in moving]
+        self._get_angle = [joint.getPosition if slides else joint.getAngle for joint, slides in moving]
+        self._get_velocity = [joint.getPositionRate if slides else joint.getAngleRate for joint, slides in moving]
+        self._wrapped = [get() for get in self._get_angle]
+        self._turning = [i for i, kind in enumerate(kinds) if kind == "continuous"]
         for i in self._turning:
             self._zero[i] += math.tau * round((scene.joint_angle[i] - self._wrapped[i]) / math.tau)
-        self._get_angle = [hinge.getAngle for hinge in self.hinges]
-        self._get_velocity = [hinge.getAngleRate for hinge in self.hinges]
 
     def count_turns(self) -> None:
         """Follow joints without limits beyond half a turn; to be called after every step."""
@@ -99,27 +105,26 @@ class OdeRobot:
         positions, rotations = map(np.array, zip(*links, strict=True))
         return positions, rotations, np.array(quaternion)
 
-    def check(self, robot: RobotModel, stop_erp: float, cfm: float) -> None:
-        """Compare what ODE holds with the URDF.
+    def loaded_links(self) -> dict[str, Body]:
+        """Return what ODE holds of each rigid part, under the name of its first link; a fixed base is no body."""
+        held = {name: body.getMass() for name, body in self._bodies.items()}
+        held.setdefault(self._model.base, ode.Mass())
+        # The origin of ODE's bodies is their COM.
+        return {name: (mass.mass, self._model.links[name].com, np.array(mass.I)) for name, mass in held.items()}
+
+    def loaded_limits(self, stop_erp: float, cfm: float) -> dict[str, tuple[float, float]]:
+        """Return the limits [rad or m] of the joints that have any.
 
         Raises:
-            BackendError: A value differs.
+            BackendError: A stop bounces, or is not as stiff as asked for.
         """
-        expected, loaded = merge_fixed(robot), {}
-        for name, body in self._bodies.items():
-            mass = body.getMass()
-            loaded[name] = mass.mass, self._model.links[name].com, np.array(mass.I)
-        if self._scene.fixed_base:
-            base = expected.links[expected.base]
-            loaded[base.name] = base.mass, base.com, base.inertia
-        check_links(expected, loaded)
+        limits = {}
         for name, hinge, zero in zip(self._scene.joint_names, self.hinges, self._zero, strict=True):
-            limits = expected.joints[name].limits
-            if limits is not None:
-                stops = hinge.getParam(LOWER_STOP) + zero, hinge.getParam(UPPER_STOP) + zero
-                check_value(f"limits of {name} [rad]", stops, limits)
+            if self._model.joints[name].limits is not None:
+                limits[name] = hinge.getParam(LOWER_STOP) + zero, hinge.getParam(UPPER_STOP) + zero
                 stop = [hinge.getParam(number) for number in (STOP_BOUNCE, STOP_ERP, STOP_CFM)]
                 check_value(f"bounce, ERP and CFM of {name}'s stops", stop, (0.0, stop_erp, cfm))
+        return limits
 
     def _start(self) -> None:
         scene, (position, rotation) = self._scene, self._base_pose
@@ -137,21 +142,23 @@ class OdeRobot:
             body.setPosition((position + rotation @ self._model.links[name].com).tolist())
             body.setRotation(rotation.ravel().tolist())
 
-    def _make_hinge(self, joint: Joint, poses: dict[str, Pose], stop_erp: float) -> Any:
+    def _make_joint(self, joint: Joint, poses: dict[str, Pose], stop_erp: float) -> Any:
         position, rotation = poses[joint.parent]
-        hinge = ode.HingeJoint(self._world)
+        slides = joint.kind == "prismatic"
+        made = (ode.SliderJoint if slides else ode.HingeJoint)(self._world)
         # In this order the angle has the URDF's sign.
-        hinge.attach(self._bodies[joint.child], self._bodies.get(joint.parent, ode.environment))
-        hinge.setAnchor((position + rotation @ joint.position).tolist())
-        hinge.setAxis((rotation @ joint.rotation @ joint.axis).tolist())
+        made.attach(self._bodies[joint.child], self._bodies.get(joint.parent, ode.environment))
+        if not slides:
+            made.setAnchor((position + rotation @ joint.position).tolist())
+        made.setAxis((rotation @ joint.rotation @ joint.axis).tolist())
         if joint.limits is not None:
             half_range = 0.5 * (joint.limits[1] - joint.limits[0])
-            if not half_range < math.pi:
+            if not slides and not half_range < math.pi:
                 raise BackendError(f"ODE cannot limit {joint.name} to {joint.limits} rad, a whole turn or more")
-            hinge.setParam(LOWER_STOP, -half_range)
-            hinge.setParam(UPPER_STOP, half_range)
-            hinge.setParam(STOP_ERP, stop_erp)
-        return hinge
+            made.setParam(LOWER_STOP, -half_range)
+            made.setParam(UPPER_STOP, half_range)
+            made.setParam(STOP_ERP, stop_erp)
+        return made
 
     def _add_shape(self, space: Any, name: str, collision: CollisionShape) -> None:
         match collision.kind:
@@ -161,6 +168,10 @@ class OdeRobot:
                 shape = ode.GeomSphere(space, *collision.size)
             case "cylinder":
                 shape = ode.GeomCylinder(space, *collision.size)
+            case "mesh":
+                raise BackendError(
+                    f"ODE has no convex shapes, but {name} has a mesh; give it boxes, spheres or cylinders"
+                )
         place = self._places[name]
         body = self._bodies.get(place.part)
         position = place.position + place.rotation @ collision.position
@@ -183,3 +194,26 @@ def make_body(world: Any, mass: float, inertia: Array) -> Any:
     made.setParameters(mass, 0.0, 0.0, 0.0, xx, yy, zz, xy, xz, yz)
     body.setMass(made)
     return body
+
+
+def sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> Any:
+    """Return the unit vector along which one body slides on the other, either way round; None where nothing slides.
+
+    Args:
+        first: A body; one of the two may be None, which is fixed.
+        second: The other one.
+        position: Contact point [m].
+        normal: Of the contact.
+        fall: Velocity that gravity adds in a step [m/s]; with it a body that rests on a ramp has a direction as well.
+    """
+    if first is None:
+        first, second = second, None
+    x, y, z = first.getPointVel(position)
+    vx, vy, vz = fall if second is None else second.getPointVel(position)
+    sign = 1.0 if second is None else -1.0
+    x, y, z = x + sign * vx, y + sign * vy, z + sign * vz
+    nx, ny, nz = normal
+    closing = x * nx + y * ny + z * nz
+    x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
+    speed = math.sqrt(x * x + y * y + z * z)
+    return (x / speed, y / speed, z / speed) if speed > SLIDING else None

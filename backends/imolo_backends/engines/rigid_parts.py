@@ -25,13 +25,10 @@ class Place:
 
 def find_places(robot: RobotModel) -> dict[str, Place]:
     """Return the place of every link."""
-    welded = {joint.child: joint.parent for joint in robot.joints.values() if joint.kind == "fixed"}
     poses = robot.link_poses({}, np.zeros(3), np.eye(3))
     places = {}
     for name, (position, rotation) in poses.items():
-        part = name
-        while part in welded:
-            part = welded[part]
+        part = robot.parts[name]
         part_position, part_rotation = poses[part]
         places[name] = Place(part, part_rotation.T @ (position - part_position), part_rotation.T @ rotation)
     return places
