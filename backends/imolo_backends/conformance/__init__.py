@@ -6,7 +6,7 @@ author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance.tes
 
 from imolo.conformance import Check
 from imolo.contracts.engine import Engine, EngineOptions
-from imolo_backends.conformance import air, collisions, contract, free_motion, friction, joints
+from imolo_backends.conformance import collisions, contract, free_motion, friction, joints, push_off
 from imolo_backends.conformance.subject import Subject, bind
 
 SCENES = (
@@ -15,7 +15,7 @@ SCENES = (
     *joints.SCENES,
     *collisions.SCENES,
     *friction.SCENES,
-    *air.SCENES,
+    *push_off.SCENES,
 )
 
 
