@@ -339,6 +339,18 @@ def test_touches_of_one_body_that_are_not_told_are_caught(engine: Any, body: str
     assert_caught(engine, Silent, "contact_report")
 
 
+def test_touches_of_a_second_shape_that_are_not_told_are_caught() -> None:
+    class Silent(MujocoEngine):
+        """Tells of the plates, but not of the rods above them."""
+
+        def read(self) -> EngineState:
+            state = super().read()
+            above = state.link_position[0, 2] + 0.36 - 0.18 if len(state.link_position) > 1 else np.inf
+            return replace(state, ball_contacts=tuple(c for c in state.ball_contacts if c.position[2] < above))
+
+    assert_caught(MujocoEngine, Silent, "contact_report")
+
+
 def set_friction(engine: Any, friction: float) -> None:
     """Set the friction coefficient of every contact."""
     if isinstance(engine, MujocoEngine):

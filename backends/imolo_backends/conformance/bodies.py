@@ -220,3 +220,19 @@ def standing_robot(**changes: Any) -> Scene:
     bent = (*JOINT_LIMITS[:6, 1].tolist(), *JOINT_LIMITS[6:, 0].tolist())
     place = {"base_position": (0.0, 0.0, BLOCK_TOP + FOOT_BELOW_HIP), "joint_angle": bent, "boxes": (BLOCK,)}
     return replace(_scene(ROBOT, LINK_NAMES, JOINT_NAMES), **{**place, **changes})
+
+
+def hanging_robot(**changes: Any) -> Scene:
+    """Return the robot fixed and upright, weightless, legs straight and arms hanging at their stops."""
+    return flying_robot(fixed_base=True, gravity=WEIGHTLESS, joint_angle=(0.0,) * len(JOINT_NAMES), **changes)
+
+
+def hanging_links() -> dict[str, tuple[Array, Array]]:
+    """Return where the links of `hanging_robot` are: position [m] and rotation matrix of each frame."""
+    return read_urdf(ROBOT).link_poses({}, np.array(hanging_robot().base_position), np.eye(3))
+
+
+def moved(place: Array, *offset: float) -> tuple[float, float, float]:
+    """Return a place [m] plus an offset [m]."""
+    x, y, z = (place + np.array(offset)).tolist()
+    return x, y, z

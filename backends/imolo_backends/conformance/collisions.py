@@ -2,30 +2,26 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from imolo.conformance import Measurement
-from imolo.contracts.engine import Array, Ball, BoxShape, Scene
-from imolo.contracts.urdf import read_urdf
 from imolo_backends.conformance.bodies import (
     BALL_MASS,
     BALL_RADIUS,
-    BLOCK,
     BOX_SIDES,
     CONTACT_SINK,
     CONTACT_TIME,
     CONTACT_TIMESTEP,
     GRAVITY,
-    JOINT_NAMES,
     PLATE_CENTER,
-    ROBOT,
     WEIGHTLESS,
     ball_scene,
     box_scene,
-    flying_robot,
+    hanging_links,
+    hanging_robot,
+    moved,
     solid_ball,
 )
 from imolo_backends.conformance.subject import SceneCheck, Subject
@@ -41,9 +37,9 @@ def collision_momentum(subject: Subject) -> Iterator[Measurement]:
     """A ball hits a free box off its centre, weightless and without friction."""
     speed, offset, restitution, mass = 4.0, 0.06, 0.5, 0.05
     start = np.array([0.0, 0.0, 1.0])  # [m] of the box
-    ball = solid_ball(_moved(start, 0.5 * BOX_SIDES[0] + BALL_RADIUS + 0.05, offset, 0.0), (-speed, 0.0, 0.0))
+    ball = solid_ball(moved(start, 0.5 * BOX_SIDES[0] + BALL_RADIUS + 0.05, offset, 0.0), (-speed, 0.0, 0.0))
     scene = box_scene(
-        mass=mass, base_position=_moved(start, 0.0, 0.0, 0.0), ball=ball, gravity=WEIGHTLESS, timestep=CONTACT_TIMESTEP
+        mass=mass, base_position=moved(start, 0.0, 0.0, 0.0), ball=ball, gravity=WEIGHTLESS, timestep=CONTACT_TIMESTEP
     )
     glance = 0.02  # [s]
     with subject.run(replace(scene, friction=0.0, restitution=restitution)) as run:
@@ -146,26 +142,12 @@ def robot_does_not_bounce(subject: Subject) -> Iterator[Measurement]:
     yield Measurement("how deep the robot gets", "m", 0.0, depth, speed * CONTACT_TIME * float(np.exp(-1.0)), basis)
 
 
-def _hanging_robot(**changes: Any) -> Scene:
-    """Return the robot fixed and upright, weightless, legs straight and arms hanging at their stops."""
-    return flying_robot(fixed_base=True, gravity=WEIGHTLESS, joint_angle=(0.0,) * len(JOINT_NAMES), **changes)
-
-
-def _hanging_links() -> dict[str, tuple[Array, Array]]:
-    return read_urdf(ROBOT).link_poses({}, np.array(_hanging_robot().base_position), np.eye(3))
-
-
-def _moved(place: Array, *offset: float) -> tuple[float, float, float]:
-    x, y, z = (place + np.array(offset)).tolist()
-    return x, y, z
-
-
 def _fast_ball(subject: Subject, speed: float) -> Iterator[Measurement]:
-    hand, restitution = _hanging_links()[ARM][0] + PLATE_CENTER, 0.3
+    hand, restitution = hanging_links()[ARM][0] + PLATE_CENTER, 0.3
     # The outer corners, where the ball does not meet the trunk.
     for where, offset in (("middle", (0.0, 0.0)), ("lower corner", (-0.03, -0.12)), ("upper corner", (-0.03, 0.12))):
-        ball = solid_ball(_moved(hand, 0.15, *offset), (-speed, 0.0, 0.0))
-        with subject.run(_hanging_robot(ball=ball, restitution=restitution)) as run:
+        ball = solid_ball(moved(hand, 0.15, *offset), (-speed, 0.0, 0.0))
+        with subject.run(hanging_robot(ball=ball, restitution=restitution)) as run:
             path = [state.ball_position[0] for state in run.states(0.3 / speed, CONTACT_TIMESTEP)]
             rebound = float(run.engine.read().ball_velocity[0]) / speed
         depth = BALL_RADIUS + HALF_PLATE - float(min(path) - hand[0])
@@ -205,66 +187,6 @@ def resting_body(subject: Subject) -> Iterator[Measurement]:
         yield Measurement(f"drift of the {name}", "m", 0.0, float(np.hypot(x - start, y)), CONTACT_SINK, basis)
 
 
-def _thrown_at(center: Array, reach: float, axis: int) -> Ball:
-    """Return a ball that flies against an axis to a centre [m] that lies this far [m] below its body's surface."""
-    outwards = np.eye(3)[axis]
-    place = _moved(center, *((reach + BALL_RADIUS + 0.05) * outwards))
-    return solid_ball(place, _moved(-3.0 * outwards, 0.0, 0.0, 0.0))
-
-
-def _touchable() -> dict[str, Scene]:
-    """Return, by its name, a scene in which the ball meets each body that it can touch."""
-    boxes = (BLOCK, BoxShape("step", (1.5, 0.2, 0.1), (0.3, 0.2, 0.1)))
-    balls = {"floor": _thrown_at(np.array([0.0, 3.0, 0.0]), 0.0, 2)}
-    balls |= {box.name: _thrown_at(np.array(box.center), box.half_extents[2], 2) for box in boxes}
-    scenes = {name: ball_scene(ball, boxes=boxes, gravity=WEIGHTLESS) for name, ball in balls.items()}
-    poses = _hanging_links()
-    for name, link in read_urdf(ROBOT).links.items():
-        for shape in link.collisions[:1]:
-            position, rotation = poses[name]
-            reach = shape.size[0] if shape.kind == "sphere" else 0.5 * shape.size[0]
-            scenes[name] = _hanging_robot(ball=_thrown_at(position + rotation @ shape.position, reach, 0))
-    return scenes
-
-
-def contact_report(subject: Subject) -> Iterator[Measurement]:
-    """Every contact of the ball, whatever it touches, is told, once, where it is, and with all of its force."""
-    duration = 0.05
-    others = twice = lost = 0
-    for name, scene in _touchable().items():
-        with subject.run(scene) as run:
-            state = run.advance(duration)
-        with subject.run(scene) as run:
-            told = sum(len(now.ball_contacts) for now in run.states(duration, CONTACT_TIMESTEP))
-        contacts = state.ball_contacts
-        velocity = np.array(scene.ball.velocity)
-        heading = velocity / np.linalg.norm(velocity)
-        gained = scene.ball.mass * float(heading @ (velocity - state.ball_velocity))
-        total = sum(contact.force for contact in contacts)
-        # Limbs turn away a little, and the normal with them.
-        turn = 0.02 if scene.joint_names else 0.0  # [rad]
-        yield Measurement(
-            f"momentum told over gained, {name}", "", 1.0, total * CONTACT_TIMESTEP / gained, 1e-5 + 0.5 * turn**2,
-            "single precision; cosine of the limb's turn",
-        )  # fmt: skip
-        paths = [float(np.linalg.norm(np.cross(heading, c.position - scene.ball.position))) for c in contacts]
-        aside = sum(c.force * path for c, path in zip(contacts, paths, strict=True)) / total if total else np.nan
-        yield Measurement(
-            f"contact told aside of the ball's path, {name}",
-            "m",
-            0.0,
-            aside,
-            1e-6 + turn * BALL_RADIUS,
-            "mean over force; single precision; sine of the limb's turn",
-        )
-        others += sum(contact.other != name for contact in contacts)
-        twice += len(contacts) - len({contact.time for contact in contacts})
-        lost += abs(told - len(contacts))
-    yield Measurement("contacts told under other names", "", 0.0, others, 0.0, "a count")
-    yield Measurement("contacts told twice a step", "", 0.0, twice, 0.0, "a count")
-    yield Measurement("contacts lost between two reads", "", 0.0, lost, 0.0, "a count")
-
-
 SCENES: tuple[SceneCheck, ...] = (
     collision_momentum,
     bounce_heights,
@@ -275,5 +197,4 @@ SCENES: tuple[SceneCheck, ...] = (
     fast_ball_10,
     fast_ball_25,
     resting_body,
-    contact_report,
 )
