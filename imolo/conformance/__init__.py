@@ -1,8 +1,8 @@
 """Conformance: scenes with known truth that a backend must reproduce, and the verdict on each measured number.
 
 A backend's plugin offers `checks`; each one measures quantities beside their truth. Where a backend cannot do what is
-asked, its plugin declares a `Limitation` with the reason; what is declared but measures well is as wrong as what is not
-declared and measures badly, so that the declarations stay true.
+asked, its plugin declares a `Limitation` with the cause; what is declared but measures well is a warning, so that the
+declarations stay true.
 
 * `check`: what a check is, and how what it measured is judged.
 * `suite`: the checks of a backend, by its name or by a config.

@@ -2,7 +2,8 @@
 
 import math
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -53,24 +54,23 @@ class Check:
 
 @dataclass(frozen=True)
 class Limitation:
-    """What a backend cannot do, and why; its measured number is reported instead of a failure.
+    """One cause for which a backend cannot do what is asked; measured numbers are reported instead of failures.
 
     Attributes:
-        check: Name of the check.
-        quantity: The one that is out of tolerance.
-        reason: Why, for the reader of the report.
+        reason: The cause, for the reader of the report.
+        quantities: By name of the check: all quantities that are out of tolerance for it.
     """
 
-    check: str
-    quantity: str
     reason: str
+    quantities: Mapping[str, Sequence[str]]
 
 
 class Verdict(StrEnum):
-    """What came of a measurement."""
+    """What came of a measurement, from the best to the worst; a warning is for the author, and fails nothing."""
 
     PASS = "pass"
     UNSUPPORTED = "unsupported"
+    WARNING = "warning"
     FAIL = "fail"
 
 
@@ -101,12 +101,13 @@ def run_check(check: Check, limitations: Sequence[Limitation], exactly: bool = T
     Args:
         check: The check.
         limitations: All that the backend declares.
-        exactly: Whether a declaration that does not apply is a failure, as it is under the options it was made for.
+        exactly: Whether a declaration should apply, as it should under the options it was made for.
 
     Returns:
-        One outcome per quantity; a failure where the check raised an error.
+        One outcome per quantity; a failure where the check raised an error; a warning where a number is better than
+        declared, and for each warning of Python.
     """
-    declared = {limit.quantity: limit.reason for limit in limitations if limit.check == check.name}
+    declared = {name: limit.reason for limit in limitations for name in limit.quantities.get(check.name, ())}
     measured: set[str] = set()
     outcomes: list[Outcome] = []
 
@@ -114,7 +115,7 @@ def run_check(check: Check, limitations: Sequence[Limitation], exactly: bool = T
         outcomes.append(Outcome(check.name, check.group, check.title, verdict, measurement, remark))
 
     try:
-        for measurement in check.measure():
+        for measurement in _measure(check, lambda said: conclude(Verdict.WARNING, None, said)):
             if measurement.quantity in measured:
                 conclude(Verdict.FAIL, None, f"measures {measurement.quantity!r} twice")
                 continue
@@ -129,7 +130,9 @@ def run_check(check: Check, limitations: Sequence[Limitation], exactly: bool = T
                     Verdict.FAIL, measurement, f"declared unsupported ({reason}), but there is no number to report"
                 )
             elif measurement.within:
-                conclude(Verdict.FAIL, measurement, f"declared unsupported ({reason}), but it is within its tolerance")
+                conclude(
+                    Verdict.WARNING, measurement, f"declared unsupported ({reason}), but it is within its tolerance"
+                )
             else:
                 conclude(Verdict.UNSUPPORTED, measurement, reason)
     except Exception as error:  # noqa: BLE001 (a plug-in may raise anything, and the other checks are still to run)
@@ -140,6 +143,19 @@ def run_check(check: Check, limitations: Sequence[Limitation], exactly: bool = T
     if not outcomes:
         conclude(Verdict.FAIL, None, "measures nothing")
     return outcomes
+
+
+def _measure(check: Check, warn: Callable[[str], None]) -> Iterable[Measurement]:
+    """Run a check and pass on what Python warns of meanwhile, once each."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            yield from check.measure()
+        finally:
+            for said in dict.fromkeys(
+                f"{one.category.__name__}: {one.message} ({Path(one.filename).name}:{one.lineno})" for one in caught
+            ):
+                warn(said)
 
 
 def _explain(error: Exception) -> str:

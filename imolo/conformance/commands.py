@@ -31,7 +31,7 @@ def check(
 ) -> None:
     """Put engines through scenes whose truth is known, and report what they measure.
 
-    A scene that crashes or hangs fails; the others go on. Exit code 1 if anything fails.
+    A scene that crashes or hangs fails; the others go on. Exit code 1 if anything fails, not for warnings.
     """
     from imolo.conformance import page as pages
     from imolo.conformance.check import Verdict

@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
 
-from imolo.conformance.check import Measurement, Outcome, Verdict
+from imolo.conformance.check import Outcome, Verdict
 from imolo.conformance.record import Cell, Record, load_records, save_records, write_text
-from imolo.conformance.report import number, short
+from imolo.conformance.report import WORDS, number, short
 from imolo.conformance.suite import Suite
 from imolo.errors import ConfigError
 
@@ -171,10 +171,9 @@ def _number(outcome: Outcome | None) -> str:
     if outcome is None:
         return "-"
     measured = outcome.measurement
-    if measured is None:
-        return "**FAIL**"
-    text = number(measured.measured, measured.tolerance)
-    return {Verdict.PASS: text, Verdict.UNSUPPORTED: f"**{text}**", Verdict.FAIL: f"**FAIL {text}**"}[outcome.verdict]
+    text = number(measured.measured, measured.tolerance) if measured else ""
+    word = "" if outcome.verdict in (Verdict.PASS, Verdict.UNSUPPORTED) else WORDS[outcome.verdict]
+    return text if outcome.verdict is Verdict.PASS else f"**{f'{word} {text}'.strip()}**"
 
 
 def _contact(records: Sequence[Record]) -> Iterable[str]:
@@ -196,21 +195,28 @@ def _contact(records: Sequence[Record]) -> Iterable[str]:
 
 def _limitations(records: Sequence[Record]) -> Iterable[str]:
     yield "## Limitations\n"
-    rows = [
-        _row([record.label, f"`{outcome.check}`", *_asked_and_got(outcome.measurement), _escape(outcome.remark)])
-        for record in records
-        for outcome in record.outcomes
-        if outcome.verdict is Verdict.UNSUPPORTED and outcome.measurement
-    ]
+    rows = []
+    for record in records:
+        unsupported = [o for o in record.outcomes if o.verdict is Verdict.UNSUPPORTED]
+        # One cause after the other.
+        causes = list(dict.fromkeys(outcome.remark for outcome in unsupported))
+        unsupported.sort(key=lambda outcome: causes.index(outcome.remark))
+        for cause, with_cause in groupby(unsupported, key=lambda outcome: outcome.remark):
+            for index, outcome in enumerate(with_cause):
+                why = _escape(cause) if index == 0 else ""
+                rows.append(_row([record.label, why, f"`{outcome.check}`", *_asked_and_got(outcome)]))
     if not rows:
         yield "None is declared.\n"
         return
-    yield _head(["engine", "scene", "quantity", "truth", "measured", "why"], numeric_from=6)
+    yield _head(["engine", "why", "scene", "quantity", "truth", "measured"], numeric_from=6)
     yield from rows
     yield ""
 
 
-def _asked_and_got(measured: Measurement) -> tuple[str, str, str]:
+def _asked_and_got(outcome: Outcome) -> tuple[str, str, str]:
+    measured = outcome.measurement
+    if measured is None:
+        return "", "", ""
     unit = f" {measured.unit}" if measured.unit else ""
     truth = f"{number(measured.truth, measured.tolerance)} ± {short(measured.tolerance)}{unit}"
     return _escape(measured.quantity), truth, f"{number(measured.measured, measured.tolerance)}{unit}"

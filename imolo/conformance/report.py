@@ -16,8 +16,8 @@ from imolo.conformance.check import Outcome, Verdict
 from imolo.conformance.record import Record, worst
 
 STYLE: Any = {"box": box.SIMPLE_HEAD, "title_justify": "left", "caption_justify": "left", "padding": 0}
-COLOURS = {Verdict.PASS: "green", Verdict.UNSUPPORTED: "yellow", Verdict.FAIL: "bold red"}
-WORDS = {Verdict.PASS: "pass", Verdict.UNSUPPORTED: "unsupported", Verdict.FAIL: "FAIL"}
+COLOURS = {Verdict.PASS: "green", Verdict.UNSUPPORTED: "yellow", Verdict.WARNING: "magenta", Verdict.FAIL: "bold red"}
+WORDS = {verdict: verdict.value for verdict in Verdict} | {Verdict.FAIL: "FAIL"}
 
 
 def number(value: float, tolerance: float) -> str:
@@ -43,6 +43,7 @@ def render_report(records: Sequence[Record]) -> RenderableType:
         parts.append(render_matrix(records))
     for verdict, title in (
         (Verdict.UNSUPPORTED, "Declared unsupported"),
+        (Verdict.WARNING, "Warnings"),
         (Verdict.FAIL, "Failed"),
     ):
         details = list(_details(records, verdict))
@@ -100,12 +101,12 @@ def _cells(outcome: Outcome) -> tuple[str | Text, ...]:
     measured = outcome.measurement
     if measured is None:
         return (
-            Text(outcome.remark, style="red", overflow="ellipsis", no_wrap=True),
+            Text(outcome.remark, style=COLOURS[outcome.verdict], overflow="ellipsis", no_wrap=True),
             "",
             "",
             "",
             "",
-            _verdict(Verdict.FAIL),
+            _verdict(outcome.verdict),
         )
     return (
         escape(measured.quantity),

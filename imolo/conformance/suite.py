@@ -58,16 +58,17 @@ class Suite:
         """Return a failure for each declared limitation of a check that there is not."""
         return [
             Outcome(
-                limit.check,
+                check,
                 "limitations",
                 "",
                 Verdict.FAIL,
                 None,
-                f"declares a limitation of {limit.quantity!r}, "
-                f"but there is no such check{did_you_mean(limit.check, self.checks)}",
+                f"declares a limitation of {', '.join(map(repr, quantities))}, "
+                f"but there is no such check{did_you_mean(check, self.checks)}",
             )
             for limit in self.plugin.limitations
-            if limit.check not in self.checks
+            for check, quantities in limit.quantities.items()
+            if check not in self.checks
         ]
 
     def select(self, only: Sequence[str]) -> list[str]:

@@ -7,6 +7,7 @@ def test_conformance(check: BackendCheck) -> None:
     assert_conforms(check)
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,10 @@ from imolo.errors import ConfigError
 
 if TYPE_CHECKING:
     import pytest
+
+
+class ConformanceWarning(UserWarning):
+    """What the author of a backend should look at, though nothing fails."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +74,16 @@ def parametrize_checks(*backends: str | Suite, only: Sequence[str] = (), **optio
 
 
 def assert_conforms(check: BackendCheck) -> None:
-    """Run a check, and fail where a quantity is neither as it should be nor declared as a limitation."""
+    """Run a check, fail where a quantity is neither as it should be nor declared as a limitation, and pass warnings on.
+
+    Raises:
+        AssertionError: A quantity fails.
+    """
     __tracebackhide__ = True
-    failed = [outcome for outcome in check.run() if outcome.verdict is Verdict.FAIL]
-    if failed:
-        lines = [f"{check.suite.label} {check.name}: {explain(outcome)}" for outcome in failed]
-        raise AssertionError("\n".join(lines))
+    lines: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
+    for outcome in check.run():
+        lines[outcome.verdict].append(f"{check.suite.label} {check.name}: {explain(outcome)}")
+    if lines[Verdict.FAIL]:
+        raise AssertionError("\n".join(lines[Verdict.FAIL]))
+    for line in lines[Verdict.WARNING]:
+        warnings.warn(line, ConformanceWarning, stacklevel=2)

@@ -19,7 +19,7 @@ def test_an_engine_gives_the_truth_or_declares_what_it_cannot(check: BackendChec
     assert_conforms(check)
 
 
-@parametrize_checks(Suite("rk4", "mujoco", {"integrator": "rk4"}), only=["free motion", "joints", "air"])
+@parametrize_checks(Suite("rk4", "mujoco", {"integrator": "rk4"}), only=["free motion", "joints"])
 def test_smooth_motions_hold_for_the_fourth_order_integrator(check: BackendCheck) -> None:
     assert_conforms(check)
 

@@ -1,14 +1,18 @@
 """The kit itself: verdicts, what is asked for, and the helper for pytest."""
 
+import subprocess
+import sys
+import warnings
 from collections.abc import Iterator
 
 import pytest
 
 from imolo.config.model import Model
 from imolo.conformance import Check, Limitation, Measurement, Verdict, run_check
+from imolo.conformance.record import worst
 from imolo.conformance.report import number, short
 from imolo.conformance.suite import Suite, check_names, suites
-from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
+from imolo.conformance.testing import BackendCheck, ConformanceWarning, assert_conforms, parametrize_checks
 from imolo.contracts.backend import BackendPlugin
 from imolo.errors import BackendNotFoundError, ConfigError
 
@@ -24,7 +28,7 @@ def breaks_off() -> Iterator[Measurement]:
     raise AttributeError("no such thing")
 
 
-LIMIT = Limitation("scene", "number 0", "soft")
+LIMIT = Limitation("soft", {"scene": ["number 0"]})
 
 
 @pytest.mark.parametrize(
@@ -34,7 +38,7 @@ LIMIT = Limitation("scene", "number 0", "soft")
         (1.2, (), True, Verdict.FAIL, ""),
         (float("nan"), (), True, Verdict.FAIL, ""),
         (1.2, (LIMIT,), True, Verdict.UNSUPPORTED, "soft"),
-        (1.0, (LIMIT,), True, Verdict.FAIL, "declared unsupported (soft), but it is within its tolerance"),
+        (1.0, (LIMIT,), True, Verdict.WARNING, "declared unsupported (soft), but it is within its tolerance"),
         (float("nan"), (LIMIT,), True, Verdict.FAIL, "declared unsupported (soft), but there is no number to report"),
         # Limitations are declared for the default options.
         (1.2, (LIMIT,), False, Verdict.UNSUPPORTED, "soft"),
@@ -49,11 +53,37 @@ def test_verdict_weighs_the_number_and_the_declaration(
 
 
 def test_declaration_of_what_is_not_measured_fails() -> None:
-    stale = Limitation("scene", "number 7", "soft")
+    stale = Limitation("soft", {"scene": ["number 7"]})
     passed, failed = run_check(check(1.0), [stale])
     assert (passed.verdict, failed.verdict) == (Verdict.PASS, Verdict.FAIL)
     assert "'number 7', which this check does not measure" in failed.remark
     assert len(run_check(check(1.0), [stale], exactly=False)) == 1
+
+
+def test_one_declaration_names_all_that_one_cause_puts_out_of_tolerance() -> None:
+    pyramid = Limitation("a pyramid", {"first": ["number 0", "number 2"], "second": ["number 0"]})
+    first = run_check(check(0.7, 1.0, 1.4, name="first"), [pyramid])
+    second = run_check(check(0.8, name="second"), [pyramid])
+    assert [outcome.verdict.value for outcome in first] == ["unsupported", "pass", "unsupported"]
+    assert [outcome.remark for outcome in [*first, *second]] == ["a pyramid", "", "a pyramid", "a pyramid"]
+
+
+def test_what_python_warns_of_is_a_warning_and_the_numbers_stand() -> None:
+    def warns() -> Iterator[Measurement]:
+        for index in range(2):
+            warnings.warn("out of date", DeprecationWarning, stacklevel=1)
+            yield Measurement(f"number {index}", "", 1.0, 1.0, 0.1, "given")
+
+    outcomes = run_check(Check("scene", "group", "A scene", warns), ())
+    assert [outcome.verdict.value for outcome in outcomes] == ["pass", "pass", "warning"]
+    assert outcomes[-1].remark.startswith("DeprecationWarning: out of date (test_conformance_kit.py:")
+
+
+def test_warning_is_worse_than_unsupported_and_better_than_failed() -> None:
+    measured = run_check(check(1.0, 1.0), [LIMIT]) + run_check(check(1.3), [LIMIT]) + run_check(check(2.0), ())
+    ordered = sorted(measured, key=lambda outcome: list(Verdict).index(outcome.verdict))
+    assert [outcome.verdict.value for outcome in ordered] == ["pass", "unsupported", "warning", "fail"]
+    assert worst(ordered[:3]) is Verdict.WARNING
 
 
 def test_check_that_measures_nothing_fails() -> None:
@@ -83,7 +113,7 @@ def suite(*checks: Check, limitations: tuple[Limitation, ...] = ()) -> Suite:
 
 
 def test_limitation_of_no_check_is_a_failure_with_the_nearest_name() -> None:
-    (outcome,) = suite(check(1.0), limitations=(Limitation("scnee", "number 0", "soft"),)).misplaced()
+    (outcome,) = suite(check(1.0), limitations=(Limitation("soft", {"scnee": ["number 0"]}),)).misplaced()
     assert outcome.verdict is Verdict.FAIL
     assert outcome.remark.endswith("there is no such check; did you mean 'scene'?")
 
@@ -109,10 +139,16 @@ def test_failure_in_pytest_names_backend_scene_quantity_and_numbers() -> None:
 
 
 def test_helper_makes_one_test_per_check_with_a_readable_name() -> None:
-    mark = parametrize_checks("mujoco", "dart", only=["sealed_piston", "free_fall"]).mark
+    mark = parametrize_checks("mujoco", "dart", only=["clock", "free_fall"]).mark
     assert mark.args[0] == "check"
     ids = [parameters.id for parameters in mark.args[1]]
-    assert ids == ["mujoco-free_fall", "mujoco-sealed_piston", "dart-free_fall", "dart-sealed_piston"]
+    assert ids == ["mujoco-clock", "mujoco-free_fall", "dart-clock", "dart-free_fall"]
+
+
+def test_warning_in_pytest_is_a_warning_and_no_failure() -> None:
+    stale = suite(check(1.0), limitations=(LIMIT,))
+    with pytest.warns(ConformanceWarning, match="made scene: number 0: 1 instead of 1 .*declared unsupported"):
+        assert_conforms(BackendCheck(stale, "scene"))
 
 
 @parametrize_checks("mujoco", only=["free_fall"])
@@ -147,3 +183,9 @@ def test_numbers_have_the_digits_that_the_tolerance_makes_matter(value: float, t
 
 def test_exponents_have_no_idle_digits() -> None:
     assert (short(1e-9), short(4400.0), short(0.25)) == ("1e-9", "4.4e3", "0.25")
+
+
+def test_the_kit_knows_no_robot_but_its_own() -> None:
+    code = "import sys, imolo_backends.conformance; print([name for name in sys.modules if 'imolo_robots' in name])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert found.strip() == "[]"

@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 
 from imolo.conformance import Verdict, run_check
-from imolo.contracts.engine import Array, EngineState, Scene
+from imolo.contracts.engine import Array, Ball, EngineState, Scene
 from imolo.contracts.registry import BACKENDS
+from imolo.contracts.urdf import read_urdf
 from imolo_backends.conformance import SCENES
+from imolo_backends.conformance.bodies import BALL_RADIUS, ROBOT
 from imolo_backends.conformance.subject import Subject, bind
 from imolo_backends.engines import dart_engine, mujoco_engine, pybullet_engine
 from imolo_backends.engines.dart_engine import DartEngine
@@ -30,6 +32,7 @@ OPTIONS: dict[Any, Any] = {
 }
 NAMES = {MujocoEngine: "mujoco", PybulletEngine: "pybullet", DartEngine: "dart"}
 ENGINES = [pytest.param(engine, id=name) for engine, name in NAMES.items()]
+TOUCHABLE_LINKS = [name for name, link in read_urdf(ROBOT).links.items() if link.collisions]
 CHECKS = {scene.__name__: scene for scene in SCENES}
 BULLET: Any = pybullet_engine.pybullet
 MUJOCO: Any = mujoco_engine.mujoco
@@ -238,7 +241,7 @@ def do_not_enforce_limits(engine: Any, _: Scene) -> None:
 
 
 def test_limits_that_dart_does_not_enforce_are_caught() -> None:
-    assert_caught(DartEngine, changed(DartEngine, do_not_enforce_limits), "joint_limits", "ready_pose")
+    assert_caught(DartEngine, changed(DartEngine, do_not_enforce_limits), "joint_limits", "standing")
 
 
 def drop_friction(engine: Any, _: Scene) -> None:
@@ -258,4 +261,132 @@ def soften(engine: Any, _: Scene) -> None:
 
 
 def test_mujocos_default_softness_is_caught() -> None:
-    assert_caught(MujocoEngine, changed(MujocoEngine, soften), "joint_limits", "ready_pose", "fast_ball_10")
+    assert_caught(MujocoEngine, changed(MujocoEngine, soften), "joint_limits", "standing", "push_off", "fast_ball_10")
+
+
+@pytest.mark.parametrize(
+    ("longer", "checks"),
+    # In stiffness a hundred times, and ten thousand times.
+    [(10.0, ["robot_does_not_bounce"]), (100.0, ["robot_does_not_bounce", "push_off"])],
+)
+def test_contacts_of_the_robot_that_are_too_soft_are_caught(longer: float, checks: list[str]) -> None:
+    def soften_robot(engine: Any, _: Scene) -> None:
+        of_robot = np.arange(engine._model.ngeom) != engine._ball_geom
+        engine._model.geom_solref[of_robot, 0] *= longer
+
+    assert_caught(MujocoEngine, changed(MujocoEngine, soften_robot), *checks)
+
+
+def add_inertia(engine: Any, scene: Scene) -> None:
+    moment = 1.3 * scene.ball.inertia
+    if isinstance(engine, MujocoEngine):
+        engine._model.body(mujoco_engine.BALL).inertia[:] = moment
+        MUJOCO.mj_setConst(engine._model, engine._data)
+        engine._start()
+    elif isinstance(engine, PybulletEngine):
+        BULLET.changeDynamics(
+            engine._ball,
+            pybullet_engine.BASE,
+            mass=scene.ball.mass,
+            localInertiaDiagonal=[moment] * 3,
+            physicsClientId=engine._client,
+        )
+    else:
+        inertia = engine._ball_body.getInertia()
+        inertia.setMoment(moment * np.eye(3))
+        engine._ball_body.setInertia(inertia)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_ball_whose_moment_of_inertia_is_off_by_30_percent_is_caught(engine: Any) -> None:
+    assert_caught(engine, changed(engine, add_inertia), "slide_to_roll")
+
+
+def other_ball(**values: Callable[[Ball], float]) -> Callable[[Any], Any]:
+    """Return what makes an engine load a ball with other values than the scene's."""
+
+    def of(engine: Any) -> Any:
+        def load(self: Any, scene: Scene, options: Any) -> None:
+            changes: dict[str, Any] = {name: value(scene.ball) for name, value in values.items()}
+            engine.__init__(self, replace(scene, ball=replace(scene.ball, **changes)), options)
+
+        return type(f"OtherBall{engine.__name__}", (engine,), {"__init__": load})
+
+    return of
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    "mutate",
+    [
+        pytest.param(other_ball(inertia=lambda ball: 0.4 * ball.mass * ball.radius**2), id="solid"),
+        pytest.param(other_ball(radius=lambda _: BALL_RADIUS), id="radius"),
+    ],
+)
+def test_a_ball_that_is_always_the_same_is_caught(engine: Any, mutate: Callable[[Any], Any]) -> None:
+    assert_caught(engine, mutate(engine), "slide_to_roll")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("body", ["floor", "block", "step", *TOUCHABLE_LINKS])
+def test_touches_of_one_body_that_are_not_told_are_caught(engine: Any, body: str) -> None:
+    class Silent(engine):  # type: ignore[misc]
+        def read(self) -> EngineState:
+            state: EngineState = super().read()
+            told = tuple(contact for contact in state.ball_contacts if contact.other != body)
+            return replace(state, ball_contacts=told)
+
+    assert_caught(engine, Silent, "contact_report")
+
+
+def test_touches_of_a_second_shape_that_are_not_told_are_caught() -> None:
+    class Silent(MujocoEngine):
+        """Tells of the plates, but not of the rods above them."""
+
+        def read(self) -> EngineState:
+            state = super().read()
+            above = state.link_position[0, 2] + 0.36 - 0.18 if len(state.link_position) > 1 else np.inf
+            return replace(state, ball_contacts=tuple(c for c in state.ball_contacts if c.position[2] < above))
+
+    assert_caught(MujocoEngine, Silent, "contact_report")
+
+
+def set_friction(engine: Any, friction: float) -> None:
+    """Set the friction coefficient of every contact."""
+    if isinstance(engine, MujocoEngine):
+        engine._model.geom_friction[:, 0] = friction
+    elif isinstance(engine, PybulletEngine):
+        for body, link in [*engine._names, (engine._ball, pybullet_engine.BASE)]:
+            BULLET.changeDynamics(body, link, lateralFriction=friction**0.5, physicsClientId=engine._client)
+    else:
+        world = engine._world
+        for node in (n for i in range(world.getNumSkeletons()) for n in world.getSkeleton(i).getBodyNodes()):
+            for shape in (shape for shape in node.getShapeNodes() if shape.hasDynamicsAspect()):
+                shape.getDynamicsAspect().setFrictionCoeff(friction)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_gliding_contacts_are_caught(engine: Any) -> None:
+    mutated = changed(engine, lambda self, _: set_friction(self, 0.0))
+    assert_caught(engine, mutated, "friction_asked", "friction_begins", "slide_to_roll", "friction_ramp")
+
+
+def ball_or_robot_touches(engine: Any) -> bool:
+    """Whether anything touched anything in the last step."""
+    if isinstance(engine, MujocoEngine):
+        return bool(engine._data.ncon)
+    if isinstance(engine, PybulletEngine):
+        return bool(BULLET.getContactPoints(physicsClientId=engine._client))
+    return bool(engine._world.getLastCollisionResult().getNumContacts())
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_step_of_friction_that_is_lost_when_a_contact_begins_is_caught(engine: Any) -> None:
+    class Lagged(engine):  # type: ignore[misc]
+        """Glides until something has touched for a step."""
+
+        def step(self, joint_torque: Array, ball_force: Array) -> None:
+            set_friction(self, self._scene.friction if ball_or_robot_touches(self) else 0.0)
+            super().step(joint_torque, ball_force)
+
+    assert_caught(engine, Lagged, "friction_begins")

@@ -11,8 +11,17 @@ from requirements import needs
 
 from imolo.contracts.engine import Engine, EngineState, Scene
 from imolo.errors import BackendError, DivergenceError
-from imolo_backends.conformance.bodies import ball_scene, box_scene, flying_robot, pendulum_scene
-from imolo_robots.liberobot.body import HAND_OFFSET, LINK_NAMES, foam_ball, ready_scene
+from imolo_backends.conformance.bodies import (
+    BALL_RADIUS,
+    LINK_NAMES,
+    PLATE_CENTER,
+    ball_scene,
+    box_scene,
+    flying_robot,
+    pendulum_scene,
+    solid_ball,
+    standing_robot,
+)
 
 pytestmark = needs("ode")
 
@@ -83,7 +92,7 @@ def test_a_box_on_a_ramp_slides_where_it_is_steeper_than_its_friction(
 @pytest.mark.parametrize("restitution", [0.0, 0.3, 0.5, 0.8])
 @pytest.mark.parametrize("height", [0.25, 0.5, 1.0])
 def test_the_ball_bounces_with_the_restitution_asked_for(restitution: float, height: float) -> None:
-    ball = foam_ball((3.0, 0.0, height + 0.045))
+    ball = solid_ball((3.0, 0.0, height + BALL_RADIUS))
     engine = make(ball_scene(ball, restitution=restitution))
     # Until it turns: free fall from this height takes √(2 h / g).
     before = run(engine, round(np.sqrt(2.0 * height / G) - 2 * DT, 4)).ball_velocity[2]
@@ -95,10 +104,9 @@ def test_the_ball_bounces_with_the_restitution_asked_for(restitution: float, hei
 
 @pytest.mark.parametrize("speed", [10.0, 25.0, 50.0])
 def test_the_plate_of_a_pressed_arm_is_a_wall(speed: float) -> None:
-    upright = {"base_quaternion": (1.0, 0.0, 0.0, 0.0), "joint_angle": (0.0,) * 8}
-    scene = flying_robot(fixed_base=True, gravity=WEIGHTLESS, **upright)
-    hand = make(scene).read().link_position[LINK_NAMES.index("right_arm")] + HAND_OFFSET
-    ball = foam_ball(tuple(hand + np.array([0.2, 0.0, 0.0])), (-speed, 0.0, 0.0))
+    scene = flying_robot(fixed_base=True, gravity=WEIGHTLESS, joint_angle=(0.0,) * 8)
+    hand = make(scene).read().link_position[LINK_NAMES.index("right_arm")] + PLATE_CENTER
+    ball = solid_ball(tuple(hand + np.array([0.2, 0.0, 0.0])), (-speed, 0.0, 0.0))
     engine = make(replace(scene, ball=ball))
     nearest = min(run(engine, DT, -0.6).ball_position[0] for _ in range(400)) - hand[0]
     # It enters by no more than it flies in a step.
@@ -134,7 +142,7 @@ def test_constants_of_an_older_ode_are_caught(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(ode_model, "STOP_ERP", ode_model.ode.ParamStopERP)
     with pytest.raises(BackendError, match="bounce, ERP and CFM of right_hip's stops"):
-        make(ready_scene())
+        make(standing_robot())
 
 
 def test_joints_are_tighter_than_with_the_papers_settings() -> None:
@@ -159,6 +167,6 @@ def test_what_would_end_the_process_is_a_divergence(torque: float, speed: float)
 
 def test_a_range_of_a_whole_turn_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
-    path.write_text(ready_scene().urdf.read_text().replace('lower="0" upper="2.6', 'lower="-4" upper="2.6'))
+    path.write_text(standing_robot().urdf.read_text().replace('lower="0" upper="1.1"', 'lower="-4" upper="2.6"'))
     with pytest.raises(BackendError, match=r"ODE cannot limit right_hip to \(-4\.0, 2\.6.*a whole turn or more"):
-        make(replace(ready_scene(), urdf=path))
+        make(replace(standing_robot(), urdf=path))

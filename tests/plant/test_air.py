@@ -1,4 +1,4 @@
-"""What `imolo check` does not measure of air, valves and cylinders; see imolo_backends/conformance/air.py."""
+"""What the checks of imolo_backends/actuators/checks.py do not measure of air, valves and cylinders."""
 
 import math
 from typing import Any

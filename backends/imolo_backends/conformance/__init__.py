@@ -6,7 +6,7 @@ author runs them by `imolo check ENGINE`, or in pytest by `imolo.conformance.tes
 
 from imolo.conformance import Check
 from imolo.contracts.engine import Engine, EngineOptions
-from imolo_backends.conformance import collisions, contract, free_motion, friction, joints
+from imolo_backends.conformance import collisions, contact_report, contract, free_motion, friction, joints, push_off
 from imolo_backends.conformance.subject import Subject, bind
 
 SCENES = (
@@ -14,7 +14,9 @@ SCENES = (
     *free_motion.SCENES,
     *joints.SCENES,
     *collisions.SCENES,
+    *contact_report.SCENES,
     *friction.SCENES,
+    *push_off.SCENES,
 )
 
 

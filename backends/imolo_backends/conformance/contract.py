@@ -14,17 +14,20 @@ from imolo.contracts.engine import Array
 from imolo.errors import DivergenceError
 from imolo_backends.conformance.bodies import (
     HIGH,
+    JOINT_NAMES,
+    LINK_NAMES,
     WEIGHTLESS,
     ball_scene,
     flying_robot,
     lopsided_scene,
     overlapping_scene,
+    solid_ball,
+    standing_robot,
 )
 from imolo_backends.conformance.reference import Mechanism, rotation_of, rotation_vector
 from imolo_backends.conformance.subject import ROUNDING, SceneCheck, Subject
-from imolo_robots.liberobot.body import JOINT_NAMES, LINK_NAMES, foam_ball, ready_scene
 
-# Valve 8 at rest, .05 MPa, presses the legs into their stops (40 mm, reduction 2) and the arms down (25 mm).
+# Presses the standing robot's joints into their stops.
 REST_TORQUE = np.array([3.3] * 6 + [-0.6] * 2)  # [N·m]
 # No two of them are equal, and they move every joint by some degrees within 20 ms.
 PUSH = np.array([5.0, -4.5, 1.0, -4.0, 3.5, -0.8, 1.5, -1.2])  # [N·m]
@@ -69,7 +72,7 @@ def copies(subject: Subject) -> Iterator[Measurement]:
 def determinism(subject: Subject) -> Iterator[Measurement]:
     """Two fresh instances agree to the last bit after 600 steps in contact, though one is read at every step."""
     torques = np.random.default_rng(1).normal(0.0, 20.0, (600, 8)) * [1.0, 1.0, 0.3, 1.0, 1.0, 0.3, 0.1, 0.1]
-    scene = ready_scene(ball=foam_ball((-0.1, 0.05, 1.4)))
+    scene = standing_robot(ball=solid_ball((0.0, 0.05, 1.4)))
     ends = []
     for reads in (False, True):
         with subject.run(scene) as run:
@@ -103,10 +106,10 @@ def joint_order(subject: Subject) -> Iterator[Measurement]:
 
 
 def mirror(subject: Subject) -> Iterator[Measurement]:
-    """Mirrored torques give the mirrored jump from the box."""
-    torque = np.array([-20.0, -45.0, -5.0, -20.0, -30.0, -5.0, 1.0, 2.0])
-    one = subject.final_state(ready_scene(), 0.1, torque)
-    other = subject.final_state(ready_scene(), 0.1, torque[MIRROR])
+    """Mirrored torques give the mirrored push-off from the block."""
+    # Neither the feet leave the block nor the joints meet their other stops meanwhile.
+    torque, duration = np.array([-6.0, -35.0, -5.0, -3.0, -25.0, -5.0, 1.0, 2.0]), 0.06
+    one, other = (subject.final_state(standing_robot(), duration, each) for each in (torque, torque[MIRROR]))
     mirrored = other.joint_angle[MIRROR], other.link_position[0] * [1.0, -1.0, 1.0]
     angles = _distance(mirrored[0], one.joint_angle) / _distance(one.joint_angle[MIRROR], one.joint_angle)
     trunk = _distance(mirrored[1], one.link_position[0]) / abs(float(one.link_position[0, 1]))
@@ -176,7 +179,7 @@ def base_frame(subject: Subject) -> Iterator[Measurement]:
 def units(subject: Subject) -> Iterator[Measurement]:
     """A ball that is held by its weight is thrown by m v / dt during one step."""
     timestep = 1e-4
-    ball = foam_ball((5.0, 0.0, 1.1))
+    ball = solid_ball((5.0, 0.0, 1.1))
     velocity = np.array([-7.0, 0.4, 3.0])
     with subject.run(ball_scene(ball, timestep=timestep)) as run:
         held = run.advance(0.05, force=run.weight)
@@ -202,8 +205,8 @@ def no_self_collision(subject: Subject) -> Iterator[Measurement]:
 
 def no_sleep(subject: Subject) -> Iterator[Measurement]:
     """What has rested for .6 s answers the first force."""
-    ball, pull = foam_ball(), 4.0
-    scene = ready_scene(ball=ball)
+    ball, pull = solid_ball(), 4.0
+    scene = standing_robot(ball=ball)
     velocity = np.array([-7.0, 0.0, 3.0])
     with subject.run(scene) as run:
         run.advance(0.6, REST_TORQUE, run.weight)
@@ -215,8 +218,8 @@ def no_sleep(subject: Subject) -> Iterator[Measurement]:
     expected = pull * scene.timestep / arm
     thrown = _distance(state.ball_velocity, velocity)
     yield Measurement("velocity of the ball less the one thrown", "m/s", 0.0, thrown, 1e-9, "F dt = m v, rounding")
-    # Valve 8 and gravity pressed the arms into their stops with .3 N·m, which a hard stop no longer gives back.
-    basis = "τ dt / I of an arm; what its stop bore is 8 %, the recoil of the trunk a few"
+    # The arms were pressed into their stops with .6 N·m, which a hard stop no longer gives back.
+    basis = "τ dt / I of an arm; what its stop bore is 15 %, the recoil of the trunk a few"
     yield Measurement("velocity of the arms", "rad/s", expected, gained, 0.2 * expected, basis)
 
 
@@ -232,14 +235,14 @@ def divergence(subject: Subject) -> Iterator[Measurement]:
     yield Measurement("finite angles read", "", 0.0, hidden, 0.0, "DivergenceError, or NaN in the state")
 
 
-def ready_pose(subject: Subject) -> Iterator[Measurement]:
-    """Liberobot stays in its ready pose on the box for 300 ms."""
-    with subject.run(ready_scene()) as run:
+def standing(subject: Subject) -> Iterator[Measurement]:
+    """The robot, pressed into its stops, stands on the block for 300 ms."""
+    with subject.run(standing_robot()) as run:
         first = run.engine.read()
         last = run.advance(0.3, REST_TORQUE)
     drift = _distance(last.link_position, first.link_position)
     speed = float(np.abs(last.joint_velocity).max())
-    # Soft stops give way by torque / (inertia w²), .05° at the ankle, which is .4 mm at the head.
+    # Soft stops give way by torque / (inertia w²), .05° at the ankle, which is .4 mm at the shoulders.
     yield Measurement("way of the farthest link", "m", 0.0, drift, 5e-4, "stops of 2 ms give way by τ T² / I")
     yield Measurement("joint velocity", "rad/s", 0.0, speed, 0.01, "at rest; what iterative solvers leave")
 
@@ -266,5 +269,5 @@ SCENES: tuple[SceneCheck, ...] = (
     no_self_collision,
     no_sleep,
     divergence,
-    ready_pose,
+    standing,
 )

@@ -5,17 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from imolo.conformance import Measurement
-from imolo_backends.conformance.bodies import BOX_INERTIA, GRAVITY, WEIGHTLESS, ball_scene, box_scene
+from imolo_backends.conformance.bodies import BOX_INERTIA, GRAVITY, WEIGHTLESS, ball_scene, box_scene, solid_ball
 from imolo_backends.conformance.reference import base_twist, rotation_of, rotation_vector, tumbling_rotation
 from imolo_backends.conformance.subject import ROUNDING, Errors, Run, SceneCheck, Subject, at_timestep, observed_order
-from imolo_robots.liberobot.body import foam_ball
 
 
 def free_fall(subject: Subject) -> Iterator[Measurement]:
     """A ball falls from rest."""
     duration, coarse, fine = 0.5, 1e-3, 5e-4
     start = 20.0
-    scene = ball_scene(foam_ball((0.0, 0.0, start)))
+    scene = ball_scene(solid_ball((0.0, 0.0, start)))
     heights = {}
     for timestep in (coarse, fine):
         state = subject.final_state(at_timestep(scene, timestep), duration)
@@ -36,7 +35,7 @@ def projectile(subject: Subject) -> Iterator[Measurement]:
     """A box is thrown without spin, the ball beside it too."""
     duration, timestep = 0.5, 5e-4
     velocity, beside = (3.0, -2.0, 4.0), (0.0, 5.0, 1.0)
-    ball = foam_ball(beside, velocity)
+    ball = solid_ball(beside, velocity)
     scene = box_scene(collides=False, base_position=(0.0, 0.0, 1.0), base_velocity=velocity, ball=ball)
     state = subject.final_state(at_timestep(scene, timestep), duration)
     bias = 0.5 * GRAVITY * duration * timestep if subject.order == 1 else 0.0
@@ -89,4 +88,36 @@ def tumbling_box(subject: Subject) -> Iterator[Measurement]:
     yield from subject.converge(scene, float(np.linalg.norm(spin)), duration, errors)
 
 
-SCENES: tuple[SceneCheck, ...] = (free_fall, projectile, tumbling_box)
+def braked_fall(subject: Subject) -> Iterator[Measurement]:
+    """A ball falls from rest while a force that grows with the square of its speed brakes it."""
+    speed, duration, start = 6.0, 1.0, 20.0  # [m/s] in the end, [s], [m]
+    length = speed**2 / GRAVITY
+    ways = []
+    for timestep in (1e-3, 5e-4):
+        scene = ball_scene(solid_ball((0.0, 0.0, start)), timestep=timestep)
+        with subject.run(scene) as run:
+            for _ in range(round(duration / timestep)):
+                velocity = run.engine.motion()[2]
+                force = -run.weight[2] * float(np.linalg.norm(velocity)) * velocity / speed**2
+                run.engine.step(run.no_torque, force)
+            state = run.engine.read()
+        ways.append(start - float(state.ball_position[2]))
+    # In units of `speed` and `length`, with s the time and eps the step: du/ds = 1 - u² is tanh s. The force is held
+    # for a step, so that every engine does Euler steps in u, which add eps ln(cosh s) / cosh² s. The way adds their
+    # integral, and half a step's worth of speed where the position follows with the new velocity (order 1).
+    ahead = 0.5 if subject.order == 1 else 0.0
+    s, eps = duration * GRAVITY / speed, timestep * GRAVITY / speed
+    ln_cosh = float(np.log(np.cosh(s)))
+    basis = "tanh with its bias of order dt; what remains is of order dt²"
+    truth = speed * float(np.tanh(s) + eps * ln_cosh / np.cosh(s) ** 2)
+    yield Measurement("speed", "m/s", truth, -float(state.ball_velocity[2]), speed * eps**2, basis)
+    exact = length * ln_cosh
+    bias = length * eps * float(np.tanh(s) * (1.0 + ahead + ln_cosh) - s)
+    yield Measurement("way", "m", exact + bias, ways[1], length * eps**2, basis)
+    order = observed_order(ways[0] - exact, ways[1] - exact)
+    yield Measurement(
+        "order of convergence", "", 1.0, order, 4.0 * eps, "a force held for a step; second order is eps of it"
+    )
+
+
+SCENES: tuple[SceneCheck, ...] = (free_fall, projectile, braked_fall, tumbling_box)

@@ -9,10 +9,12 @@ import numpy as np
 
 from imolo.conformance import Check, Measurement
 from imolo.contracts.engine import Array, Engine, EngineOptions, EngineState, Scene
+from imolo_backends.conformance.bodies import CONTACT_TIMESTEP
 
 Errors = Mapping[str, tuple[Array, float]]
 """By quantity, its SI unit in brackets at the end: an error, shape (N,), and the size of what it is an error of."""
 WINDOW_STEP = 1e-2  # [s] between states from whose poses velocities are taken: long, against single precision
+CONTACT_TIMESTEPS = (2.0 * CONTACT_TIMESTEP, CONTACT_TIMESTEP)  # [s] of motions in contact
 ROUNDING = 1e-6  # [m, rad, ...] of long runs; link frames and COMs may be in single precision
 
 
@@ -67,41 +69,67 @@ class Subject:
             duration: How long it lasts [s].
             errors: Runs the scene and returns its errors.
         """
+        return self._converge(scene, (rate, duration), errors, self.timesteps, self.order, (ROUNDING, "rounding"))
+
+    def converge_in_contact(
+        self, scene: Scene, rate: float, duration: float, errors: Callable[["Run"], Errors], give: float
+    ) -> Iterator[Measurement]:
+        """Do as `converge` does for a motion in contact, which is of first order in every engine.
+
+        Args:
+            scene: The scene; its timestep does not matter.
+            rate: Fastest rate of the motion [1/s].
+            duration: How long it lasts [s].
+            errors: Runs the scene and returns its errors.
+            give: How far contacts that count as rigid may be off [m], soft ones and late ones.
+        """
+        return self._converge(scene, (rate, duration), errors, CONTACT_TIMESTEPS, 1, (give, "what contacts give"))
+
+    def _converge(
+        self,
+        scene: Scene,
+        motion: tuple[float, float],
+        errors: Callable[["Run"], Errors],
+        timesteps: tuple[float, float],
+        order: int,
+        floor: tuple[float, str],
+    ) -> Iterator[Measurement]:
         results = []
-        for timestep in self.timesteps:
+        for timestep in timesteps:
             with self.run(at_timestep(scene, timestep)) as run:
                 results.append(errors(run))
         coarse, fine = results
-        gain = 2.0**self.order
-        step = rate * self.timesteps[1]
-        relative = rate * duration * step**self.order
+        rate, duration = motion
+        lowest, cause = floor
+        step = rate * timesteps[1]
+        relative = rate * duration * step**order
         for key, (error, size) in fine.items():
             quantity, unit = key.rstrip("]").split(" [")
             before = coarse[key][0]
-            limit = (gain * error - before) / (gain - 1.0)
+            limit = at_zero(before, error, order)
             yield Measurement(
                 f"error of {quantity}",
                 unit,
                 0.0,
                 float(np.linalg.norm(error)),
-                size * relative + ROUNDING,
-                f"size x N h^p = {size:.3g} x {relative:.2g}, p = {self.order}",
+                size * relative + lowest,
+                f"size x N h^p = {size:.3g} x {relative:.2g}, p = {order}, and {cause}",
             )
             yield Measurement(
                 f"error of {quantity} at dt = 0",
                 unit,
                 0.0,
                 float(np.linalg.norm(limit)),
-                size * relative * max(step, relative) + ROUNDING,
-                "Richardson leaves the next order",
+                size * relative * max(step, relative) + lowest,
+                f"Richardson leaves the next order, and {cause}",
             )
-            if np.linalg.norm(error) > 10.0 * ROUNDING:
+            if np.linalg.norm(error) > 10.0 * lowest:
                 yield Measurement(
                     f"order of {quantity}",
                     "",
-                    self.order,
+                    order,
                     observed_order(float(np.linalg.norm(before)), float(np.linalg.norm(error))),
-                    0.2 * self.order,
+                    0.2 * order,
                     "the next order at these timesteps",
                 )
 
@@ -169,6 +197,12 @@ def bind(scene_check: SceneCheck, subject: Subject) -> Check:
 def at_timestep(scene: Scene, timestep: float) -> Scene:
     """Return the scene with another timestep [s]."""
     return replace(scene, timestep=timestep)
+
+
+def at_zero(coarse: Array, fine: Array, order: int = 1) -> Array:
+    """Return what two timesteps, one half of the other, lead to at dt = 0 (Richardson)."""
+    gain = 2.0**order
+    return (gain * fine - coarse) / (gain - 1.0)
 
 
 def observed_order(coarse_error: float, fine_error: float, ratio: float = 2.0) -> float:

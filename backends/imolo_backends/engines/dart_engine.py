@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import PositiveInt
 
 from imolo.config.model import Positive
-from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, BoxShape, EngineOptions, Scene
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
@@ -227,17 +226,10 @@ def _set_contact(skeleton: Any, friction: float, restitution: float) -> None:
                 shape.getDynamicsAspect().setRestitutionCoeff(restitution)
 
 
-LIMITATIONS = (
-    Limitation(
-        "mirror", "trunk, difference over way sideways", "Gauss-Seidel takes the contacts of the feet in an order"
-    ),
-)
-
 BACKEND = simulated_plugin(
     DartEngine,
     DartOptions,
     "DART: boxed LCP, exact friction cone",
-    LIMITATIONS,
     ingredients={
         "friction cone": ({"friction": "cone"}, {"friction": "pyramid"}),
         "solver": ({"friction_sweeps": 30}, {"friction_sweeps": 100}),

@@ -202,15 +202,18 @@ class OdeEngine(EngineAdapter):
         )
 
 
-TUMBLING = "ODE damps what tumbles: its gyroscopic torque is implicit, of first order with a large error"
-HINGES = "hinges are constraints of free bodies; mending their error takes energy"
 LIMITATIONS = (
-    Limitation("tumbling_box", "error of orientation", TUMBLING),
-    Limitation("tumbling_box", "error of orientation at dt = 0", TUMBLING),
-    Limitation("tumbling_box", "order of orientation", TUMBLING),
-    Limitation("spinning_joint", "velocity", HINGES),
-    Limitation("rod_pendulum", "swing of the energy", HINGES),
-    Limitation("rod_pendulum", "energy that is conserved, largest change", HINGES),
+    Limitation(
+        "ODE damps what tumbles: its gyroscopic torque is implicit, of first order with a large error",
+        {"tumbling_box": ("error of orientation", "error of orientation at dt = 0", "order of orientation")},
+    ),
+    Limitation(
+        "hinges are constraints of free bodies; mending their error takes energy",
+        {
+            "spinning_joint": ("velocity",),
+            "rod_pendulum": ("swing of the energy", "energy that is conserved, largest change"),
+        },
+    ),
 )
 
 BACKEND = simulated_plugin(

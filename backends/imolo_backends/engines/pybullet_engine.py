@@ -225,13 +225,12 @@ class PybulletEngine(EngineAdapter):
         )
 
 
-ASKEW = "Bullet's cone cuts the impulses that would stop the box's corners, which do not point against the slip"
+ALONG = ("distance", "distance at dt = 0", "direction")
 LIMITATIONS = (
-    Limitation("slide_30", "distance", ASKEW),
-    Limitation("slide_30", "direction", ASKEW),
-    Limitation("slide_45", "distance", ASKEW),
-    Limitation("slide_45", "direction", ASKEW),
-    Limitation("cone_or_pyramid", "friction at 45° over friction at 0°", ASKEW),
+    Limitation(
+        "Bullet's cone cuts the impulses that would stop the box's corners, which do not point against the slip",
+        {"slide_30": ALONG, "slide_45": ALONG, "cone_or_pyramid": ("friction at 45° over friction at 0°",)},
+    ),
 )
 
 BACKEND = simulated_plugin(

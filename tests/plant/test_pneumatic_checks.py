@@ -1,0 +1,57 @@
+"""The plant gives its closed forms, whatever its parameters, and the checks of it see what is wrong."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imolo.config.simulation import BallConfig, PneumaticsConfig
+from imolo.conformance import Verdict, run_check
+from imolo_backends.actuators.checks import SCENES, SUBSTEP, PneumaticDrive, pneumatic_checks
+from imolo_backends.actuators.plant import Plant
+from imolo_backends.actuators.plant_kernel import VALVE_OF_CHAMBER
+from imolo_robots.liberobot.body import JOINT_LIMITS
+
+OTHER = {"supply_pressure": 0.6e6, "tube_length": 1.2, "exhaust_conductance": 2e-8, "heat_in": 1.3, "leg_bore": 0.032}
+
+
+def drive(wrong: dict[str, Any] | None = None, **values: Any) -> PneumaticDrive:
+    """Return Liberobot's drive with some parameters, and a plant that has others of them."""
+
+    def make(config: PneumaticsConfig, angle: NDArray[np.float64]) -> Plant:
+        config = config.model_copy(update=wrong or {})
+        return Plant(config, BallConfig(), SUBSTEP, JOINT_LIMITS, angle)
+
+    config = PneumaticsConfig(**values)
+    leg = math.pi / 4 * config.leg_bore**2 * config.moment_arm * config.leg_reduction
+    arm = math.pi / 4 * config.arm_bore**2 * config.moment_arm
+    return PneumaticDrive(make, config, JOINT_LIMITS, np.array([leg] * 6 + [arm] * 2), VALVE_OF_CHAMBER)
+
+
+def failed(name: str, checked: PneumaticDrive) -> list[str]:
+    (check,) = (check for check in pneumatic_checks(checked) if check.name == name)
+    outcomes = run_check(check, ())
+    return [str(o.measurement or o.remark) for o in outcomes if o.verdict is not Verdict.PASS]
+
+
+@pytest.mark.parametrize("values", [{}, OTHER], ids=["liberobot", "other"])
+@pytest.mark.parametrize("name", [scene.__name__ for scene in SCENES])
+def test_the_plant_gives_the_closed_form(name: str, values: dict[str, Any]) -> None:
+    assert failed(name, drive(**values)) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        ({"leg_bore": 0.0404}, "sealed_piston"),
+        ({"supply_conductance": 0.808e-8}, "choked_filling"),
+        ({"exhaust_conductance": 3.03e-8}, "emptying"),
+        ({"valve_time_constant": 0.01515}, "valve_step"),
+        ({"valve_dead_time": 0.0101}, "valve_step"),
+        ({"dead_volume": 15.15e-6}, "tank_balance"),
+    ],
+)
+def test_a_parameter_that_is_a_hundredth_off_is_seen(wrong: dict[str, Any], name: str) -> None:
+    assert failed(name, drive(wrong)) != []
