@@ -5,11 +5,13 @@
 k = ρ c_D A / (2 m) [1/m] is the drag of the ball; ω [1/s] is its spin times a lift coefficient over its mass, so that
 ω × v is the Magnus acceleration (Zhang, Xiong, Zhao and Chen, 2010, for table tennis). Both are unknown in each flight
 and part of the state. What the training flights were like is the prior: of k and ω always, and of the velocity of
-release if the first samples agree with it.
+release if the first samples agree with it. g is what all flights have in common: the air carries a light ball and goes
+along with it, and no camera frame is level.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,8 +21,10 @@ from pydantic import Field, ValidationError
 from scipy.stats import chi2
 
 from imolo.ball.aerodynamic_kernel import fly, normal_equations, position_covariances, transition
-from imolo.ball.model import PredictionError
-from imolo.config.model import Model, Positive
+from imolo.ball.flight import GRAVITY
+from imolo.ball.model import DAMAGED, PredictionError
+from imolo.config.model import Model, NonNegative, Positive, Vector
+from imolo.config.reading import explain
 from imolo.errors import TableFileError
 
 Array = NDArray[np.float64]
@@ -30,6 +34,7 @@ STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
 ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
 _ON = np.ones(1)
+_ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope")
 _LAUNCH_GATE = float(chi2.ppf(0.999, 3))
 
 
@@ -41,9 +46,13 @@ class AerodynamicBallModel:
         kind: "drag" has the state (p, v, k), "spin" (p, v, k, ω).
         time_step: Step of `predict` [s].
         acceleration_density: Process noise, spectral density of a white acceleration [m²/s³].
-        measurement_std: Standard deviation of a measured coordinate [m], shape (3,).
+        measurement_std: Standard deviation of a coordinate measured at `noise_center` [m], shape (3,).
         prior_mean: Of velocity of release [m/s], k [1/m] and ω [1/s], shape (n - 3,).
         prior_std: Their standard deviations for the next flight, shape (n - 3,).
+        gravity: What accelerates every flight alike [m/s²], shape (3,).
+        noise_center: A position among the flights [m], shape (3,).
+        noise_slope: Change of the logarithm of the noise's variance with the position [1/m], shape (3,).
+        noise_reach: Largest such change that the flights have shown [-].
         errors: Leave-one-out prediction errors; empty for a model that was not fitted.
     """
 
@@ -53,11 +62,21 @@ class AerodynamicBallModel:
     measurement_std: Array
     prior_mean: Array
     prior_std: Array
+    gravity: Array = field(default_factory=GRAVITY.copy)
+    noise_center: Array = field(default_factory=lambda: np.zeros(3))
+    noise_slope: Array = field(default_factory=lambda: np.zeros(3))
+    noise_reach: float = 0.0
     errors: tuple[PredictionError, ...] = ()
 
     def with_density(self, density: float) -> "AerodynamicBallModel":
         """Return the same model with another process noise [m²/s³]."""
         return replace(self, acceleration_density=density)
+
+    def measurement_covariance(self, position: Array) -> Array:
+        """Return the covariance of a position [m], shape (3,), that is measured there [m²], shape (3, 3)."""
+        change = float(self.noise_slope @ (position - self.noise_center))
+        within = min(max(change, -self.noise_reach), self.noise_reach)
+        return np.diag(self.measurement_std**2 * math.exp(within))
 
     def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
         """Estimate the state at the last of a few samples: maximum a posteriori, by Gauss-Newton.
@@ -74,10 +93,11 @@ class AerodynamicBallModel:
         spread[:3] = UNKNOWN_VELOCITY
         mean = self.prior_mean.copy()
         mean[:3] = 0.0
-        state, covariance, residuals = most_likely_start(time, position, self.measurement_std, mean, spread)
-        misfit = float(np.sum((residuals / self.measurement_std) ** 2))
+        std = np.sqrt(np.diag(self.measurement_covariance(position[-1])))
+        state, covariance, residuals = most_likely_start(time, position, std, mean, spread, self.gravity)
+        misfit = float(np.sum((residuals / std) ** 2))
         state, covariance = self._with_launch_prior(state, covariance)
-        last, F, Q = transition(state, float(time[-1] - time[0]), self.acceleration_density)
+        last, F, Q = transition(state, float(time[-1] - time[0]), self.acceleration_density, self.gravity)
         return last, F @ covariance @ F.T + Q, misfit
 
     def _with_launch_prior(self, state: Array, covariance: Array) -> tuple[Array, Array]:
@@ -98,22 +118,23 @@ class AerodynamicBallModel:
         kalman = KalmanFilter(dim_x=size, dim_z=3, dim_u=1)
         kalman.x, kalman.P = state.copy(), covariance.copy()
         kalman.H = np.eye(3, size)
-        kalman.R = np.diag(self.measurement_std**2)
+        kalman.R = self.measurement_covariance(state[:3])
         return kalman
 
     def advance(self, kalman: KalmanFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
-        state, F, Q = transition(kalman.x, duration, self.acceleration_density)
+        state, F, Q = transition(kalman.x, duration, self.acceleration_density, self.gravity)
         kalman.predict(u=_ON, B=(state - F @ kalman.x)[:, None], F=F, Q=Q)
+        kalman.R = self.measurement_covariance(state[:3])
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
         """Return state, shape (n,), and covariance, shape (n, n), `duration` [s] later."""
-        later, F, Q = transition(state, duration, self.acceleration_density)
+        later, F, Q = transition(state, duration, self.acceleration_density, self.gravity)
         return later, F @ covariance @ F.T + Q
 
     def predict(self, state: Array, steps: int) -> Array:
         """Return the states 1, 2, ... `steps` time steps later, shape (steps, n)."""
-        path: Array = fly(state, self.time_step, steps)
+        path: Array = fly(state, self.time_step, steps, self.gravity)
         return path
 
     def predict_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
@@ -126,7 +147,9 @@ class AerodynamicBallModel:
 
     def position_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
         """Return the covariances of the positions of `predict` [m²], shape (steps, 3, 3), in a tenth of the time."""
-        predicted: Array = position_covariances(state, covariance, self.time_step, steps, self.acceleration_density)
+        predicted: Array = position_covariances(
+            state, covariance, self.time_step, steps, self.acceleration_density, self.gravity
+        )
         return predicted
 
     def to_dict(self) -> dict[str, Any]:
@@ -142,22 +165,16 @@ class AerodynamicBallModel:
         Raises:
             TableFileError: A key is missing or unknown, or a value has the wrong shape or is not finite.
         """
-        damaged = "the stored ball model is damaged; fit and save it again: "
         try:
             values = _StoredModel.model_validate(stored)
         except ValidationError as error:
-            raise TableFileError(f"{damaged}{error}") from error
+            raise TableFileError(explain(error, _StoredModel, DAMAGED)) from error
         size = STATE_SIZE[values.kind] - 3
         if not len(values.prior_mean) == len(values.prior_std) == size:
-            raise TableFileError(f"{damaged}a prior of kind {values.kind!r} has {size} components")
-        arrays = {name: np.array(getattr(values, name)) for name in ("measurement_std", "prior_mean", "prior_std")}
-        return cls(
-            kind=values.kind,
-            time_step=values.time_step,
-            acceleration_density=values.acceleration_density,
-            errors=values.errors,
-            **arrays,
-        )
+            raise TableFileError(f"{DAMAGED}: a prior of kind {values.kind!r} has {size} components")
+        fields = {name: getattr(values, name) for name in _StoredModel.model_fields}
+        numbers = {name: np.array(value) for name, value in fields.items() if name in _ARRAYS}
+        return cls(**{**fields, **numbers})
 
 
 def most_likely_start(
@@ -166,6 +183,7 @@ def most_likely_start(
     measurement_std: Array,
     prior_mean: Array,
     prior_std: Array,
+    gravity: Array,
     iterations: int = ITERATIONS,
 ) -> tuple[Array, Array, Array]:
     """Estimate the state at the first sample of a flight, maximum a posteriori, by Gauss-Newton.
@@ -176,23 +194,25 @@ def most_likely_start(
         measurement_std: Of a coordinate [m], shape (3,).
         prior_mean: Of velocity, k and perhaps ω, shape (n - 3,).
         prior_std: Their standard deviations, shape (n - 3,); the position has no prior.
+        gravity: [m/s²], shape (3,).
         iterations: Of Gauss-Newton.
 
     Returns:
         State, shape (n,); its covariance, shape (n, n); residuals [m], shape (N, 3).
     """
     elapsed = time - time[0]
-    fall = np.outer(0.5 * elapsed**2, (0.0, 0.0, 9.81))
-    line = np.linalg.lstsq(np.stack([np.ones_like(elapsed), elapsed], axis=1), position + fall, rcond=None)[0]
+    fall = np.outer(0.5 * elapsed**2, gravity)
+    line = np.linalg.lstsq(np.stack([np.ones_like(elapsed), elapsed], axis=1), position - fall, rcond=None)[0]
     state = np.concatenate([line[0], line[1], prior_mean[3:]])
     weight = np.concatenate([np.zeros(3), prior_std**-2.0])
     mean, precision = np.concatenate([np.zeros(3), prior_mean]), measurement_std**-2.0
+    own = slice(len(state))  # what follows is of gravity
     for _ in range(iterations):
-        by_axis, gradient, _ = normal_equations(state, time, position)
-        information = np.tensordot(precision, by_axis, 1) + np.diag(weight)
-        state = state + np.linalg.solve(information, precision @ gradient + weight * (mean - state))
-    by_axis, _, residuals = normal_equations(state, time, position)
-    return state, np.linalg.inv(np.tensordot(precision, by_axis, 1) + np.diag(weight)), residuals
+        by_axis, gradient, _ = normal_equations(state, time, position, gravity)
+        information = np.tensordot(precision, by_axis[:, own, own], 1) + np.diag(weight)
+        state = state + np.linalg.solve(information, precision @ gradient[:, own] + weight * (mean - state))
+    by_axis, _, residuals = normal_equations(state, time, position, gravity)
+    return state, np.linalg.inv(np.tensordot(precision, by_axis[:, own, own], 1) + np.diag(weight)), residuals
 
 
 class _StoredModel(Model):
@@ -204,4 +224,8 @@ class _StoredModel(Model):
     measurement_std: tuple[Positive, Positive, Positive]
     prior_mean: Annotated[tuple[float, ...], Field(min_length=4)]
     prior_std: Annotated[tuple[Positive, ...], Field(min_length=4)]
+    gravity: Vector
+    noise_center: Vector
+    noise_slope: Vector
+    noise_reach: NonNegative
     errors: tuple[PredictionError, ...]

@@ -1,6 +1,6 @@
 """Compiled flight of a ball under gravity, quadratic drag and Magnus lift, with its sensitivity to the state.
 
-The state is (p, v, k) or (p, v, k, ω), see `imolo.ball.aerodynamic`.
+The state is (p, v, k) or (p, v, k, ω), see `imolo.ball.aerodynamic`; gravity [m/s²], shape (3,), is the model's.
 """
 
 import math
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81  # [m/s²] as everywhere in imolo
 LONGEST_STEP = 0.01  # [s] of RK4; a 25 m/s foam ball is then right to 1e-6 m after 1 s
 COVARIANCE_STEP = 0.05  # [s] of the uncertainty along a path, which need not be as exact as the path
 LEAST_SPEED = 1e-9  # [m/s] keeps the direction of a ball at rest finite
@@ -19,13 +18,13 @@ LEAST_SPEED = 1e-9  # [m/s] keeps the direction of a ball at rest finite
 
 @njit(cache=True, inline="always")
 def _acceleration(
-    vx: float, vy: float, vz: float, k: float, wx: float, wy: float, wz: float
+    vx: float, vy: float, vz: float, k: float, wx: float, wy: float, wz: float, gravity: Array
 ) -> tuple[float, float, float]:
     drag = k * math.sqrt(vx * vx + vy * vy + vz * vz)
     return (
-        wy * vz - wz * vy - drag * vx,
-        wz * vx - wx * vz - drag * vy,
-        wx * vy - wy * vx - drag * vz - GRAVITY,
+        wy * vz - wz * vy - drag * vx + gravity[0],
+        wz * vx - wx * vz - drag * vy + gravity[1],
+        wx * vy - wy * vx - drag * vz + gravity[2],
     )
 
 
@@ -65,7 +64,7 @@ def _sensitivity_rate(velocity: Array, constants: Array, sensitivity: Array, rat
 
 
 @njit(cache=True)
-def fly(state: Array, step: float, steps: int) -> Array:
+def fly(state: Array, step: float, steps: int, gravity: Array) -> Array:
     """Return the states `step`, 2 `step`, ... later, shape (steps, n), by one RK4 step each.
 
     In scalars, since the planner does this for every frame.
@@ -79,10 +78,10 @@ def fly(state: Array, step: float, steps: int) -> Array:
         wx, wy, wz = state[7], state[8], state[9]
     h, half, sixth = step, 0.5 * step, step / 6.0
     for i in range(steps):
-        ax, ay, az = _acceleration(vx, vy, vz, k, wx, wy, wz)
-        bx, by, bz = _acceleration(vx + half * ax, vy + half * ay, vz + half * az, k, wx, wy, wz)
-        cx, cy, cz = _acceleration(vx + half * bx, vy + half * by, vz + half * bz, k, wx, wy, wz)
-        dx, dy, dz = _acceleration(vx + h * cx, vy + h * cy, vz + h * cz, k, wx, wy, wz)
+        ax, ay, az = _acceleration(vx, vy, vz, k, wx, wy, wz, gravity)
+        bx, by, bz = _acceleration(vx + half * ax, vy + half * ay, vz + half * az, k, wx, wy, wz, gravity)
+        cx, cy, cz = _acceleration(vx + half * bx, vy + half * by, vz + half * bz, k, wx, wy, wz, gravity)
+        dx, dy, dz = _acceleration(vx + h * cx, vy + h * cy, vz + h * cz, k, wx, wy, wz, gravity)
         # The velocity's own stages, summed.
         x += h * (vx + sixth * (ax + bx + cx))
         y += h * (vy + sixth * (ay + by + cy))
@@ -97,7 +96,7 @@ def fly(state: Array, step: float, steps: int) -> Array:
 
 @njit(cache=True)
 def transition(
-    state: Array, duration: float, density: float, longest_step: float = LONGEST_STEP
+    state: Array, duration: float, density: float, gravity: Array, longest_step: float = LONGEST_STEP
 ) -> tuple[Array, Array, Array]:
     """Carry a state over any duration [s], which may be negative, in steps of `longest_step` [s] at most.
 
@@ -128,7 +127,8 @@ def transition(
                         at[row, column] = one[row, column] + ahead * rates[stage - 1, row, column]
             else:
                 velocity[0] = state[3:6]
-            ax, ay, az = _acceleration(velocity[stage, 0], velocity[stage, 1], velocity[stage, 2], k, wx, wy, wz)
+            vx, vy, vz = velocity[stage]
+            ax, ay, az = _acceleration(vx, vy, vz, k, wx, wy, wz, gravity)
             acceleration[stage, 0], acceleration[stage, 1], acceleration[stage, 2] = ax, ay, az
             _sensitivity_rate(velocity[stage], constants, at, rates[stage])
         for axis in range(3):
@@ -154,7 +154,9 @@ def transition(
 
 
 @njit(cache=True)
-def position_covariances(state: Array, covariance: Array, step: float, steps: int, density: float) -> Array:
+def position_covariances(
+    state: Array, covariance: Array, step: float, steps: int, density: float, gravity: Array
+) -> Array:
     """Return the covariance of the position `step`, 2 `step`, ... later [m²], shape (steps, 3, 3).
 
     One transition every `COVARIANCE_STEP`, linear between. There the variance is less than 1 % too large, because drag
@@ -166,7 +168,7 @@ def position_covariances(state: Array, covariance: Array, step: float, steps: in
     before = covariance[:3, :3].copy()
     done = 0
     while done < steps:
-        state, F, Q = transition(state, stride * step, density, COVARIANCE_STEP)
+        state, F, Q = transition(state, stride * step, density, gravity, COVARIANCE_STEP)
         covariance = F @ covariance @ F.T + Q
         for i in range(min(stride, steps - done)):
             share = (i + 1) / stride
@@ -179,30 +181,37 @@ def position_covariances(state: Array, covariance: Array, step: float, steps: in
 
 
 @njit(cache=True)
-def normal_equations(state: Array, time: Array, position: Array) -> tuple[Array, Array, Array]:
+def normal_equations(state: Array, time: Array, position: Array, gravity: Array) -> tuple[Array, Array, Array]:
     """Linearise measured positions about the flight that starts from `state` at time[0].
 
     Args:
         state: At time[0], shape (n,).
         time: [s], shape (N,).
         position: Measured [m], shape (N, 3).
+        gravity: [m/s²], shape (3,).
 
     Returns:
-        Information about the state of each measured axis at unit noise, shape (3, n, n); its gradient, shape (3, n);
-        residuals [m], shape (N, 3).
+        Information about state and gravity of each measured axis at unit noise, shape (3, n + 3, n + 3); its gradient,
+        shape (3, n + 3); residuals [m], shape (N, 3).
     """
     n = len(state)
-    information, gradient = np.zeros((3, n, n)), np.zeros((3, n))
+    information, gradient = np.zeros((3, n + 3, n + 3)), np.zeros((3, n + 3))
     residuals = np.empty_like(position)
-    sensitivity = np.eye(n)
+    sensitivity = np.eye(n, n + 3)
     for i in range(len(time)):
         if i:
-            state, one, _ = transition(state, time[i] - time[i - 1], 0.0)
+            half = 0.5 * (time[i] - time[i - 1])
+            state, one, _ = transition(state, 2.0 * half, 0.0, gravity)
+            # Gravity pulls half before a step and half after it, which is right to the square of the step.
+            for axis in range(3):
+                sensitivity[3 + axis, n + axis] += half
             sensitivity = one @ sensitivity
+            for axis in range(3):
+                sensitivity[3 + axis, n + axis] += half
         for axis in range(3):
             residuals[i, axis] = position[i, axis] - state[axis]
-            for a in range(n):
+            for a in range(n + 3):
                 gradient[axis, a] += sensitivity[axis, a] * residuals[i, axis]
-                for b in range(n):
+                for b in range(n + 3):
                     information[axis, a, b] += sensitivity[axis, a] * sensitivity[axis, b]
     return information, gradient, residuals

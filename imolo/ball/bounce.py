@@ -1,27 +1,34 @@
 """Find the free flight of a recorded ball before it bounces or is hit, for any ball and any rate."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from imolo.ball.flight import FEWEST_SAMPLES, GRAVITY, Flight
+from imolo.ball.flight import FEWEST_SAMPLES, GRAVITY, LEAST_NOISE, Flight
 from imolo.errors import TrainingDataError
 
 Array = NDArray[np.float64]
 
-WINDOW = 0.05  # [s] of a local fit on each side of a kink; the air changes 1 m/s² in it, gravity 0.5 m/s
+WINDOW = 0.05  # [s] of free flight on each side of a contact, if there is as much
 FEWEST_IN_WINDOW = 6  # twice the unknowns of a quadratic
-CERTAIN = 6.0  # standard deviations of a velocity jump that noise does not reach in a million samples
+AIR = 5.0  # [m/s²] standard deviation of the acceleration about gravity: lift and drag, or the hand that holds the ball
+CERTAIN = 4.0  # standard deviations that noise exceeds once in 16,000; then it costs the sample at an end
 LEAST_CHANGE = 0.5  # share of the velocity that a contact changes: towards the floor, or of the faster side
+LEAST_JUMP = float(np.linalg.norm(GRAVITY)) * WINDOW  # [m/s] less is not told from what gravity does in a window
+MOST_GAIN = 3.0  # times the velocity of falling; a floor gives twice of it at most, a throw from rest any
+NOISE_REACH = 4  # windows on each side that tell the noise
+STEPS = 4  # to try for the time of a contact in each period of the samples
 FALLING = (0.25, 3.0)  # [g] downward acceleration of a flying ball, lift and drag included; at rest it is 0
 
 
 def before_bounce(time: Array, position: Array) -> Flight:
     """Cut the free flight before the first bounce out of a recorded track.
 
-    Where a ball touches something its velocity jumps. Quadratics are fitted on both sides of every sample; a jump that
-    is certain against their noise, and larger than what gravity does within a window, parts the track if it takes at
-    least half of a downward velocity, which is a bounce, or is half of the speed, as a launch or a hit. Of the parts
-    before the first bounce the longest one that falls is the flight.
+    Where a ball touches something its velocity jumps, its position does not. Two flights that meet so are compared with
+    a single one at every time that a contact may have; a side may have one sample only. The track is parted where a
+    jump is certain against the noise and takes at least half of a downward velocity, which is a bounce, or is half of
+    the speed, as a launch or a hit. Of the parts before the first bounce the longest one that falls is the flight.
 
     Args:
         time: Time of the samples, increasing, gaps allowed [s], shape (N,).
@@ -60,53 +67,109 @@ def _falls(time: Array, position: Array, first: int, last: int) -> bool:
 
 def _kinks(time: Array, position: Array) -> list[tuple[int, bool]]:
     """Return the first sample after each jump of the velocity, and whether the jump is a bounce."""
-    size = max(FEWEST_IN_WINDOW, round(WINDOW / float(np.median(np.diff(time)))))
-    splits = np.arange(size, len(time) - size + 1)
-    if not len(splits):
-        return []
-    fits = [_two_sides(time, position, int(split), size) for split in splits]
-    before, after = (np.array([fit[side] for fit in fits]) for side in (0, 1))
-    rms, lever = np.array([fit[2] for fit in fits]), np.array([fit[3] for fit in fits])
-    noise = np.median(rms, axis=0) + 1e-9
-    jump = after - before
-    deviation = noise * lever[:, None]
-    size_of_jump = np.linalg.norm(jump, axis=1)
-    gravity_in_window = np.linalg.norm(GRAVITY) * np.array([time[s + size - 1] - time[s] for s in splits])
-    bouncing = (before[:, 2] < -CERTAIN * deviation[:, 2]) & (
-        jump[:, 2] > np.max([-LEAST_CHANGE * before[:, 2], CERTAIN * deviation[:, 2], gravity_in_window], axis=0)
-    )
-    faster = np.maximum(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
-    hit = np.any(np.abs(jump) > CERTAIN * deviation, axis=1) & (
-        size_of_jump > np.maximum(LEAST_CHANGE * faster, gravity_in_window)
-    )
-    certain = bouncing | hit
+    gaps = np.diff(time)
+    period = float(np.median(gaps))
+    size = max(FEWEST_IN_WINDOW, round(WINDOW / period))
+    tries = STEPS * np.ceil(gaps / period).astype(int)
+    split = np.repeat(np.arange(1, len(time)), tries)
+    share = np.concatenate([(np.arange(count) + 0.5) / count for count in tries])
+    contact = time[split - 1] + share * gaps[split - 1]
+    noise = _noise(time, position, size)[split]
+    each = _Meetings.fit(time, position, split, contact, size, noise)
+    evidence = np.where(each.bounces() | each.hits(), each.evidence(), 0.0)
     kinks = []
-    while certain.any():
-        top = int(np.argmax(np.where(certain, size_of_jump, 0.0)))
-        near = np.abs(np.arange(len(splits)) - top) < size
-        # The jump is widest where both sides are free flight; among its neighbours the parts fit best there, too.
-        candidates = np.flatnonzero(np.abs(np.arange(len(splits)) - top) <= size // 2)
-        best = int(candidates[np.argmin(np.sum((rms[candidates] / noise) ** 2, axis=1))])
-        kinks.append((int(splits[best]), bool(bouncing[top])))
-        certain &= ~near
+    while evidence.any():
+        top = int(np.argmax(evidence))
+        near = np.abs(split - split[top]) < size
+        # Which side a sample is on is decided on the same samples for every time that the contact may have.
+        same = np.full_like(split[near], split[top])
+        again = _Meetings.fit(time, position, same, contact[near], size, noise[near])
+        best = int(np.argmin(again.misfit))
+        kink = int(split[near][best])
+        kinks.append((kink, kink > 1 and bool(again.bounces()[best])))  # a single sample does not say that it fell
+        evidence[near] = 0.0
     return sorted(kinks)
 
 
-def _two_sides(time: Array, position: Array, split: int, size: int) -> tuple[Array, Array, Array, float]:
-    """Fit quadratics to `size` samples before and from `split` on.
+def _noise(time: Array, position: Array, size: int) -> Array:
+    """Return the noise about each sample [m], shape (N, 3): the median of what quadratics through its neighbours leave.
 
-    Returns:
-        Velocity just before and just after [m/s], shape (3,) each; rms residual per axis [m], shape (3,); standard
-        deviation of the difference of the velocities at unit noise [1/s].
+    It changes along a flight, as with the distance from the cameras, and a kink spoils fewer than half of the fits.
     """
-    at = 0.5 * (time[split - 1] + time[split])
-    velocities, squares, variance = [], np.zeros(3), 0.0
-    for part in (slice(split - size, split), slice(split, split + size)):
-        elapsed = time[part] - at
-        solver = np.linalg.pinv(np.stack([np.ones(size), elapsed, elapsed**2], axis=1))
-        coefficients = solver @ position[part]
-        fitted = np.stack([np.ones(size), elapsed, elapsed**2], axis=1) @ coefficients
-        velocities.append(coefficients[1])
-        squares += np.sum((position[part] - fitted) ** 2, axis=0)
-        variance += float(solver[1] @ solver[1])
-    return velocities[0], velocities[1], np.sqrt(squares / (2.0 * (size - 3))), float(np.sqrt(variance))
+    size = min(size, len(time))
+    rms = np.empty((len(time) - size + 1, 3))
+    for start in range(len(rms)):
+        elapsed = time[start : start + size] - time[start]
+        squares = np.linalg.lstsq(np.vander(elapsed, 3), position[start : start + size], rcond=None)[1]
+        rms[start] = np.sqrt(squares / (size - 3.0))
+    reach = NOISE_REACH * size
+    about = [rms[max(0, min(i, len(rms)) - reach) : i + reach] for i in range(len(time))]
+    return np.array([np.median(one, axis=0) for one in about]) + LEAST_NOISE
+
+
+@dataclass(frozen=True, eq=False)
+class _Meetings:
+    """Two flights that meet at a contact, for each of M contacts that are tried.
+
+    Attributes:
+        before: Velocity before the contact [m/s], shape (M, 3).
+        jump: What it gains there [m/s], shape (M, 3).
+        before_std: Standard deviations of `before`, shape (M, 3).
+        jump_std: Those of `jump`, shape (M, 3).
+        misfit: Sum of the squared normalised residuals, shape (M,).
+    """
+
+    before: Array
+    jump: Array
+    before_std: Array
+    jump_std: Array
+    misfit: Array
+
+    @classmethod
+    def fit(
+        cls, time: Array, position: Array, split: NDArray[np.int64], contact: Array, size: int, noise: Array
+    ) -> "_Meetings":
+        """Fit them to at most `size` samples on each side.
+
+        Args:
+            time: [s], shape (N,).
+            position: Measured [m], shape (N, 3).
+            split: First sample on the other side, shape (M,).
+            contact: Time of the contact [s], shape (M,).
+            size: Most samples on a side.
+            noise: Of each axis about each contact [m], shape (M, 3).
+        """
+        index = split[:, None] + np.arange(-size, size)
+        there = ((index >= 0) & (index < len(time))).astype(float)[:, :, None]
+        index = np.clip(index, 0, len(time) - 1)
+        elapsed = time[index] - contact[:, None]
+        earlier, later = np.minimum(elapsed, 0.0), np.maximum(elapsed, 0.0)
+        columns = [elapsed, later, np.ones_like(elapsed), 0.5 * earlier**2, 0.5 * later**2]
+        design = np.stack(columns, axis=2) * there
+        above = (position[index] - 0.5 * elapsed[:, :, None] ** 2 * GRAVITY) * there
+        air = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (noise.mean(axis=1)[:, None, None] / AIR) ** 2
+        covariance = np.linalg.inv(design.transpose(0, 2, 1) @ design + air)
+        found = covariance @ (design.transpose(0, 2, 1) @ above)
+        std = np.sqrt(np.einsum("nii->ni", covariance)[:, :2, None]) * noise[:, None, :]
+        squares = ((above - design @ found) / noise[:, None, :]) ** 2
+        misfit = np.sum(squares, axis=(1, 2)) + np.sum((found[:, 3:] / AIR) ** 2, axis=(1, 2))
+        return cls(found[:, 0], found[:, 1], std[:, 0], std[:, 1], misfit)
+
+    def bounces(self) -> NDArray[np.bool_]:
+        """Return where a falling ball gains what a floor gives, shape (M,)."""
+        fall, gain = -self.before[:, 2], self.jump[:, 2]
+        falls = fall > CERTAIN * self.before_std[:, 2]
+        gains = (gain > CERTAIN * self.jump_std[:, 2]) & (gain > LEAST_JUMP)
+        like_a_floor = (gain > LEAST_CHANGE * fall) & (gain < MOST_GAIN * fall)
+        return np.asarray(falls & gains & like_a_floor)
+
+    def hits(self) -> NDArray[np.bool_]:
+        """Return where the velocity changes as by a launch or a hit, shape (M,)."""
+        faster = np.maximum(np.linalg.norm(self.before, axis=1), np.linalg.norm(self.before + self.jump, axis=1))
+        change = np.linalg.norm(self.jump, axis=1)
+        certain = (np.abs(self.jump) > CERTAIN * self.jump_std).any(axis=1)
+        return np.asarray(certain & (change > LEAST_CHANGE * faster) & (change > LEAST_JUMP))
+
+    def evidence(self) -> Array:
+        """Return twice the logarithm of how much likelier the samples are with a jump than without one, shape (M,)."""
+        return np.asarray(np.sum((self.jump / self.jump_std) ** 2, axis=1))

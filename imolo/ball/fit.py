@@ -50,12 +50,15 @@ def fit_ball_model(flights: Sequence[Flight], config: BallModelConfig | None = N
     def left_out(name: str, density: float) -> list[LinearBallModel | AerodynamicBallModel]:
         return [fold.with_density(density) for fold in folds[name]]
 
-    best = choices[0]
+    name, density = choices[0]
     if len(choices) > 1:
         horizon = _selection_horizon(flights, config)
-        best = max(choices, key=lambda choice: _log_likelihood(left_out(*choice), flights, horizon, config))
-    errors = _left_out_errors(left_out(*best), flights, config)
-    return replace(fits[best[0]](flights), acceleration_density=best[1], errors=errors)
+        likelihood = {choice: _log_likelihood(left_out(*choice), flights, horizon, config) for choice in choices}
+        name, density = max(choices, key=lambda choice: likelihood[choice])
+        if config.kind != "linear":
+            density = _vertex(density, {other: likelihood[name, other] for other in densities})
+    errors = _left_out_errors(left_out(name, density), flights, config)
+    return replace(fits[name](flights), acceleration_density=density, errors=errors)
 
 
 def restore_ball_model(stored: Mapping[str, Any]) -> BallModel:
@@ -84,6 +87,19 @@ def _selection_horizon(flights: Sequence[Flight], config: BallModelConfig) -> fl
     longest = max(float(np.ptp(flight.time)) for flight in flights)
     fits_in = longest >= config.selection_horizon + config.settling_time
     return config.selection_horizon if fits_in else 0.5 * longest
+
+
+def _vertex(best: float, likelihood: Mapping[float, float]) -> float:
+    """Return where the parabola over log(density) through the best candidate and its neighbours is highest."""
+    ordered = sorted(likelihood)
+    if len(ordered) < 3:
+        return best
+    at = min(max(ordered.index(best), 1), len(ordered) - 2)
+    near = ordered[at - 1 : at + 2]
+    curvature, slope, _ = np.polyfit(np.log(near) - np.log(best), [likelihood[density] for density in near], 2)
+    if curvature >= 0.0:
+        return best
+    return float(np.clip(best * np.exp(-0.5 * slope / curvature), near[0], near[2]))
 
 
 def _check(flights: Sequence[Flight], config: BallModelConfig) -> None:

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s²] standard; the ball model learns its own
 MOST_RATE = 10.0  # [1/s] assumed: drag over speed of any ball; a 10 g foam ball at 8 m/s has 1.4
+LEAST_NOISE = 1e-4  # [m] assumed: below what any mocap resolves; keeps fits regular on noise-free data
 FEWEST_SAMPLES = 12  # of a flight: 0.1 s at 120 Hz
 
 

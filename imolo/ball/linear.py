@@ -9,8 +9,9 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from imolo.ball.model import Kind, PredictionError, white_acceleration
+from imolo.ball.model import DAMAGED, Kind, PredictionError, white_acceleration
 from imolo.config.model import Model, NonNegative, Positive
+from imolo.config.reading import explain
 from imolo.errors import TableFileError, TrainingDataError
 
 Array = NDArray[np.float64]
@@ -168,12 +169,16 @@ class LinearBallModel:
         residual = target - design @ state
         return state, covariance + self.transition(time[-1] - time[0])[2], float(residual @ residual)
 
+    def measurement_covariance(self, position: Array) -> Array:
+        """Return the covariance of a measured position [m²], shape (3, 3), which is the same everywhere."""
+        return np.diag(self.measurement_std**2)
+
     def make_filter(self, state: Array, covariance: Array) -> KalmanFilter:
         """Return a Kalman filter of the ball (Sec. V-C) that starts from a state, shape (6,), and its covariance."""
         kalman = KalmanFilter(dim_x=6, dim_z=3, dim_u=1)
         kalman.x, kalman.P = state.copy(), covariance.copy()
         kalman.H = np.eye(3, 6)
-        kalman.R = np.diag(self.measurement_std**2)
+        kalman.R = self.measurement_covariance(state[:3])
         return kalman
 
     def advance(self, kalman: KalmanFilter, duration: float) -> None:
@@ -206,8 +211,10 @@ class LinearBallModel:
                 structure=values.structure,
                 errors=values.errors,
             )
-        except (ValidationError, TrainingDataError) as error:
-            raise TableFileError(f"the stored ball model is damaged; fit and save it again: {error}") from error
+        except ValidationError as error:
+            raise TableFileError(explain(error, _StoredModel, DAMAGED)) from error
+        except TrainingDataError as error:
+            raise TableFileError(f"{DAMAGED}: {error}") from error
 
 
 # SciPy's expm and logm share even these 7 x 7 matrices among threads: 20 µs become 20 ms on a busy machine.

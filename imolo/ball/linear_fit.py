@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import factorial
 
-from imolo.ball.flight import Flight
+from imolo.ball.flight import LEAST_NOISE, Flight
 from imolo.ball.linear import LinearBallModel, Structure, exponential
 from imolo.ball.model import BallModelConfig
 
 Array = NDArray[np.float64]
 
-LEAST_NOISE = 1e-4  # [m] assumed: below what any mocap resolves; keeps the filter regular on noise-free data
 SERIES_TERMS = 40  # of exp(C t) in the fit; at a rate of 10 /s exact to 1e-9 m over 1 s
 SHRINKAGE = 1e-4  # [m·s] keeps rates near zero that two or three flights say nothing of; well below 1 mm otherwise
 

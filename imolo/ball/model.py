@@ -12,6 +12,7 @@ from imolo.config.model import Model, NonNegative, Positive
 Array = NDArray[np.float64]
 Kind = Literal["linear", "drag", "spin"]
 KINDS: tuple[Kind, ...] = ("linear", "drag", "spin")
+DAMAGED = "the stored ball model is damaged or of another version; fit and save it again"
 
 
 class BallModelConfig(Model):
@@ -86,12 +87,11 @@ class BallModel(Protocol):
         """Process noise: spectral density of a white acceleration [m²/s³]."""
 
     @property
-    def measurement_std(self) -> Array:
-        """Standard deviation of a measured coordinate [m], shape (3,)."""
-
-    @property
     def errors(self) -> tuple[PredictionError, ...]:
         """Leave-one-out prediction errors; empty for a model that was not fitted."""
+
+    def measurement_covariance(self, position: Array) -> Array:
+        """Return the covariance of a position [m], shape (3,), that is measured there [m²], shape (3, 3)."""
 
     def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
         """Estimate the state at the last of a few samples.

@@ -22,10 +22,10 @@ def filter_flight(model: BallModel, flight: Flight) -> tuple[Array, Array]:
     states = np.full((len(flight.time), len(state)), np.nan)
     covariances = np.full((len(flight.time), len(state), len(state)), np.nan)
     states[start], covariances[start] = state, covariance
-    noise = np.diag(model.measurement_std**2)
     for i in range(start + 1, len(flight.time)):
         state, covariance = model.propagate(state, covariance, flight.time[i] - flight.time[i - 1])
         # The update of filterpy's filter, which the tracker uses, at a fifth of its time: fits run it 100,000 times.
+        noise = model.measurement_covariance(state[:3])
         gain = np.linalg.solve(covariance[:3, :3] + noise, covariance[:3]).T
         state = state + gain @ (flight.position[i] - state[:3])
         covariance = covariance - gain @ covariance[:3]
@@ -59,5 +59,5 @@ def prediction_errors(
         i = np.searchsorted(time, time[j] - horizon + tolerance, side="right") - 1
         state, covariance = model.propagate(states[i], covariances[i], time[j] - time[i])
         errors.append(state[:3] - flight.position[j])
-        spreads.append(covariance[:3, :3] + np.diag(model.measurement_std**2))
+        spreads.append(covariance[:3, :3] + model.measurement_covariance(state[:3]))
     return np.reshape(errors, (-1, 3)), np.reshape(spreads, (-1, 3, 3))

@@ -272,7 +272,8 @@ class BallTracker:
         """Return the far marker that has been seen for a while and is not in flight, if there is one now."""
         for samples in self._candidates:
             if samples.full and samples.utimes[-1] == utime:
-                covariance = np.diag(np.concatenate([self.model.measurement_std**2, UNKNOWN_VELOCITY**2 * np.ones(3)]))
+                covariance = UNKNOWN_VELOCITY**2 * np.eye(6)
+                covariance[:3, :3] = self.model.measurement_covariance(samples.positions[-1])
                 state = np.concatenate([samples.positions[-1], np.zeros(3)])
                 return BallEstimate(utime, state, covariance, in_flight=False)
         return None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from imolo.ball.fit import fit_ball_model
 from imolo.ball.flight import Flight, free_flight
-from imolo.ball.linear import LinearBallModel
+from imolo.ball.linear import LinearBallModel, exponential
 from imolo.ball.model import BallModelConfig
 from imolo.ball.prediction import filter_flight, prediction_errors
 from imolo.errors import TableFileError, TrainingDataError
@@ -154,6 +154,33 @@ def test_transition_over_a_time_step_is_the_model(model):
     np.testing.assert_allclose(B, model.B, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("x", [-0.5, -0.1, 0.1, 0.25, 0.5])
+def test_exponential_is_right_to_the_last_bits(x):
+    # Fourteen terms leave 0.5^15 / 15! = 2e-17; thirteen would leave three roundings, more change nothing.
+    assert exponential(np.array([[x]]))[0, 0] == pytest.approx(np.exp(x), rel=1.5 * np.finfo(float).eps, abs=0.0)
+
+
+@pytest.mark.parametrize("x", [-20.0, -3.0, 0.51, 0.75, 1.0, 3.0, 20.0])
+def test_exponential_of_a_large_argument_loses_a_bit_with_every_halving(x):
+    # Squaring doubles the relative error; the argument is halved to one half at most.
+    bound = 2.0 * np.finfo(float).eps * 2.0 * abs(x) * 2.0
+    assert exponential(np.array([[x]]))[0, 0] == pytest.approx(np.exp(x), rel=bound, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("away", "accepted"), [(0.49, True), (-0.49, True), (0.5, False), (0.51, False), (-0.51, False)]
+)
+def test_step_is_taken_for_smooth_within_one_half_of_one(away, accepted):
+    # There the logarithm's series of 60 terms is right to 0.49^61 / 61; both must give the step back.
+    A, rest = np.eye(6), (np.zeros(6), 0.0083, 1e-3, np.full(3, NOISE))
+    A[5, 5] += away
+    if accepted:
+        np.testing.assert_allclose(LinearBallModel(A, *rest).transition(0.0083)[0], A, rtol=0, atol=1e-14)
+    else:
+        with pytest.raises(TrainingDataError, match=f"{abs(away):.3g} away from 1"):
+            LinearBallModel(A, *rest)
+
+
 def test_stored_model_is_restored_bit_by_bit(model):
     restored = LinearBallModel.from_dict(json.loads(json.dumps(model.to_dict())))
     assert restored.to_dict() == model.to_dict()
@@ -166,8 +193,9 @@ def test_stored_model_is_restored_bit_by_bit(model):
     [{"A": [[1.0]]}, {"A": np.zeros((6, 6)).tolist()}, {"time_step": float("nan")}, {"B": [1.0] * 5}, {"drag": 0.1}],
 )
 def test_damaged_model_is_refused(model, damage):
-    with pytest.raises(TableFileError, match="fit and save it again"):
+    with pytest.raises(TableFileError, match="fit and save it again") as caught:
         LinearBallModel.from_dict({**model.to_dict(), **damage})
+    assert "\n" not in str(caught.value)
 
 
 def changed(flight, index, value):

@@ -32,6 +32,7 @@ def test_real_flights_are_predicted_within_the_targets() -> None:
     for horizon, target in targets.items():
         assert rated[horizon].count == 24
         assert rated[horizon].mean <= target
+        assert 0.5 <= rated[horizon].nees <= 1.5
         # 24 flights: the share in the 95 % ellipsoid has a standard deviation of 4 %.
         assert rated[horizon].inside >= 0.80
 
