@@ -5,19 +5,21 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTrackerConfig
 from imolo.config.model import Model, NonNegative, Positive
-from imolo.config.reading import explain, read_model
+from imolo.config.reading import check_model, read_model
 from imolo.config.simulation import SimulationConfig
 from imolo.contracts.registry import load_backend
-from imolo.errors import ConfigError
 from imolo.method.forward_model import GPR, ForwardModelConfig
 from imolo.method.motion import TRAINING_MOTIONS, MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
 from imolo.method.table import TableGrid
+
+# A name becomes that of a folder.
+MethodName = Annotated[str, Field(pattern=r"^\w[\w .+-]{0,62}$")]
 
 
 class BackendConfig(Model):
@@ -98,7 +100,7 @@ class ExperimentConfig(Model):
     motion: MotionTemplate = MotionTemplate()
     training: TrainingConfig = TrainingConfig()
     tracker: BallTrackerConfig = BallTrackerConfig()
-    methods: Annotated[dict[str, MethodConfig], Field(min_length=1)] = METHODS
+    methods: Annotated[dict[MethodName, MethodConfig], Field(min_length=1)] = METHODS
     campaign: CampaignConfig = CampaignConfig()
     simulation: SimulationConfig = SimulationConfig()
 
@@ -110,10 +112,7 @@ class ExperimentConfig(Model):
             ConfigError: An option is unknown or out of range.
         """
         plugin = load_backend(self.backend.name)
-        try:
-            return plugin.options.model_validate(self.backend.model_extra or {})
-        except ValidationError as error:
-            raise ConfigError(explain(error, plugin.options, f"backend {self.backend.name!r}")) from error
+        return check_model(self.backend.model_extra or {}, plugin.options, f"backend {self.backend.name!r}")
 
     def digest(self) -> str:
         """Return a short hash of everything that shapes the results."""
