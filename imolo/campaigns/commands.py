@@ -103,7 +103,6 @@ def hit(
         )
     LookupTable.load(table, chosen.robot.name)
     folder = open_results(out, fresh)
-    folder.prepare()
     name = chosen.backend.name
     with ProgressBars(kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)

@@ -12,8 +12,8 @@ TEMPORARY = ".*.tmp"
 """What a process that was killed leaves of a file it wrote."""
 
 
-def read_bounded(path: Path, most: int) -> bytes:
-    """Read a file that may be anything: a pipe, a device and too large a file are refused before they are read.
+def open_bounded(path: Path, most: int) -> BinaryIO:
+    """Open a file that may be anything: a pipe, a device and too large a file are refused.
 
     Args:
         path: The file.
@@ -23,17 +23,25 @@ def read_bounded(path: Path, most: int) -> bytes:
         OSError: It cannot be read, is no regular file, or is larger; `strerror` says what is wrong.
     """
     # Without a writer the opening of a pipe would wait for ever.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    with open(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if stat.S_ISDIR(status.st_mode):
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "it is a pipe or a device; give a file")
-        content = file.read(most + 1) if status.st_size <= most else b""
-    if status.st_size > most or len(content) > most:
+    file = open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")  # noqa: SIM115 (who calls it closes it)
+    status = os.fstat(file.fileno())
+    if not stat.S_ISREG(status.st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a pipe or a device; give a file")
+    if status.st_size > most:
+        file.close()
         raise OSError(errno.EFBIG, f"it is larger than the {most / 1e6:g} MB that are read")
-    return content
+    return file
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """Return the content of a file, see `open_bounded`.
+
+    Raises:
+        OSError: It cannot be read, is no regular file, or is larger.
+    """
+    with open_bounded(path, most) as file:
+        return file.read(most)
 
 
 @contextlib.contextmanager
@@ -42,12 +50,11 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     the name stays as it was.
 
     Args:
-        path: Where to; its folder is made.
+        path: Where to.
 
     Raises:
         OSError: It cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as file:

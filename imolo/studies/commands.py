@@ -58,7 +58,6 @@ def ball(
         horizons=ball_study.parse_horizons(horizons, recorded=data is not None),
     )
     folder = open_results(out, fresh)
-    folder.prepare()
     with ProgressBars(kept_in(out)) as bars:
         if data is not None:
             result = study.rate_recorded(data, jobs, bars.show)
@@ -67,7 +66,8 @@ def ball(
             result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
-    ball_report.draw_evaluation(result, out / "ball.png")
+    with folder.file("ball.png") as file:
+        ball_report.draw_evaluation(result, file)
     say(f"ball.json and ball.png are in {out}")
 
 
