@@ -161,7 +161,8 @@ def set_aside(path: Path, log_path: Path) -> Path:
     """
     folder = log_path.parent / "void"
     folder.mkdir(exist_ok=True)
-    there = [int(path.stem.rpartition("_")[2]) for path in folder.glob(f"*_*{LOG_SUFFIX}") if path.stem[-1].isdecimal()]
+    numbers = [path.stem.rpartition("_")[2] for path in folder.glob(f"*{LOG_SUFFIX}")]
+    there = [int(number) for number in numbers if number.isdecimal()]
     # Counted beside it, so that a number is not given again after logs were moved away from `void`.
     counter = log_path.parent / ".void_logs"
     with contextlib.suppress(OSError, ValueError):
