@@ -22,7 +22,9 @@ from imolo.campaigns.kept_trials import (
     kept,
     partial_path,
     partial_paths,
+    plugin_code,
     set_aside,
+    writing,
 )
 from imolo.campaigns.workers import run_on_cores, run_on_dask
 from imolo.config.experiment import ExperimentConfig
@@ -174,6 +176,7 @@ def _origins(tasks: Sequence[TrialTask]) -> list[dict[str, str]]:
             "duration": "" if task.duration is None else str(task.duration),
             "table": tables[task.table_path] if task.table_path is not None else "",
             **environment(),
+            **plugin_code(task.config),
         }
         for task in tasks
     ]
@@ -216,11 +219,11 @@ def _run_here(work: _Work) -> TrialTiming:
 def _run_far(work: _Work) -> TrialTiming:
     """Run a trial on a worker of a cluster, which may run several threads in a process and another version of imolo."""
     host = socket.gethostname()
-    here = environment()
+    here = environment() | plugin_code(work.task.config)
     different = [f"{key} {here.get(key)}" for key in here if here[key] != work.origin.get(key)]
     if different:
         raise WorkerError(
-            f"the worker on {host} has {', '.join(different)}, unlike the machine of the command; install the same"
+            f"the worker on {host} has {', '.join(different)}, unlike the machine of the command; use one that is alike"
         )
     try:
         with _ONE_TRIAL_AT_A_TIME:
@@ -231,12 +234,13 @@ def _run_far(work: _Work) -> TrialTiming:
 
 def _run_and_keep(work: _Work) -> TrialTiming:
     partial = partial_path(work.task.log_path)
-    try:
-        timing = run_task(replace(work.task, log_path=partial))
-    except TrialVoidError as void:
-        kept_log = set_aside(partial, work.task.log_path)
-        raise TrialVoidError(f"{work} is void: {void} (log: {kept_log}); give the same command to go on") from void
-    keep(partial, work.task.log_path, work.origin, timing)
+    with writing(work.task.log_path):
+        try:
+            timing = run_task(replace(work.task, log_path=partial))
+        except TrialVoidError as void:
+            kept_log = set_aside(partial, work.task.log_path)
+            raise TrialVoidError(f"{work} is void: {void} (log: {kept_log}); give the same command to go on") from void
+        keep(partial, work.task.log_path, work.origin, timing)
     return timing
 
 

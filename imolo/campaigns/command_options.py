@@ -64,11 +64,12 @@ def open_results(out: Path, fresh: bool) -> "ResultsFolder":
     """Return the results folder, and say how many trials are in it already unless they are deleted for `fresh` ones.
 
     Raises:
-        ResultsError: They cannot be deleted.
+        ResultsError: The folder cannot be written, or another program is at work in it.
     """
     from imolo.campaigns.results import ResultsFolder
 
     folder = ResultsFolder(out)
+    folder.prepare()
     if fresh:
         folder.discard_trials()
     elif there := folder.trials():

@@ -101,7 +101,6 @@ def hit(
         )
     LookupTable.load(table, chosen.robot.name, type(chosen.motion))
     folder = open_results(out, fresh)
-    folder.prepare()
     name = chosen.backend.name
     with ProgressBars(kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)

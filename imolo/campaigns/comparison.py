@@ -119,7 +119,7 @@ def compare(
     results, timing = hit(named, tables, folder, jobs, progress)
     comparison = Comparison(
         seed=configs[0].seed,
-        versions=installed_versions(),
+        versions=installed_versions(named),
         configs={name: config.digest() for name, config in named.items()},
         results=results,
         disagreement=disagreement,

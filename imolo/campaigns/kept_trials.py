@@ -4,21 +4,34 @@ A trial writes its log under a name of its own and renames it when it has ended,
 Beside each log lies what it came from; a log that came from anything else is never taken for one of this campaign.
 """
 
+import contextlib
+import errno
 import hashlib
+import logging
 import os
 import socket
+from collections.abc import Iterator
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imolo.campaigns.results import installed_versions
+from imolo.config.experiment import ExperimentConfig
+from imolo.contracts.backend import EventName
+from imolo.contracts.provenance import digest_of_packages, provenance
+from imolo.contracts.registry import BACKENDS, PLANNERS, ROBOTS, TASKS
 from imolo.errors import BusError, ResultsError
-from imolo.messaging.log import LOG_SUFFIX
+from imolo.machine.files import read_bounded, write_whole
+from imolo.messaging.channels import TRIAL
+from imolo.messaging.log import LOG_SUFFIX, decode
+from imolo.messaging.log_file import read_events
 
-SOURCES = ("imolo", "imolo_backends", "imolo_drivers", "imolo_msgs")
+logger = logging.getLogger(__name__)
+
+SOURCES = ("imolo", "imolo_backends", "imolo_drivers", "imolo_msgs", "imolo_robots")
 THIS_MACHINE = "platform"
+MOST_BYTES = 10_000_000  # of what stands beside a log; some 20 per decision
 
 
 class TrialTiming(BaseModel):
@@ -43,16 +56,20 @@ class _Record(BaseModel):
     Attributes:
         origin: All that shapes the log, by what it is.
         timing: How long the trial took.
+        size: Of the log [bytes].
+        digest: Hash of the log.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     origin: dict[str, str]
     timing: TrialTiming
+    size: int
+    digest: str
 
 
 def kept(log_path: Path, origin: dict[str, str]) -> TrialTiming | None:
-    """Return the timing of a complete trial of this origin, or None where there is none.
+    """Return the timing of a complete trial of this origin, or None where there is none, or its log was damaged since.
 
     Raises:
         ResultsError: There is a trial of another origin.
@@ -60,12 +77,15 @@ def kept(log_path: Path, origin: dict[str, str]) -> TrialTiming | None:
     if not log_path.is_file():
         return None
     try:
-        record = _Record.model_validate_json(_record_path(log_path).read_bytes())
+        record = _Record.model_validate_json(read_bounded(_record_path(log_path), MOST_BYTES))
     except (OSError, ValidationError):
         found: dict[str, str] = {}
     else:
         if record.origin == origin:
-            return record.timing
+            if log_path.stat().st_size == record.size and file_digest(log_path) == record.digest:
+                return record.timing
+            logger.warning("%s is not as it was written, its trial is run again", log_path)
+            return None
         found = record.origin
     different = [key for key in origin if found.get(key) != origin[key]] or sorted(set(found) - set(origin))
     what = f"of another {', '.join(different)}" if found else "of unknown origin"
@@ -90,22 +110,46 @@ def discard_partial(log_path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def writing(log_path: Path) -> Iterator[None]:
+    """Tell in one line what keeps a log from being written.
+
+    Raises:
+        BusError: Something does.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BusError(
+            f"cannot write the log {log_path}: {error.strerror or error}; make room or choose a folder you may write to"
+        ) from error
+
+
 def keep(partial: Path, log_path: Path, origin: dict[str, str], timing: TrialTiming) -> None:
     """Make a log complete.
 
     Raises:
-        BusError: The folder cannot be written.
+        OSError: The log is cut off, or the folder cannot be written.
     """
-    record = partial.with_suffix(".json.part")
-    try:
-        record.write_text(_Record(origin=origin, timing=timing).model_dump_json() + "\n", encoding="utf-8")
-        # The log comes last and from the disk's point of view whole, so that a power failure leaves no half of it.
-        for path, final in ((record, _record_path(log_path)), (partial, log_path)):
-            with path.open("rb+") as file:
-                os.fsync(file.fileno())
-            path.replace(final)
-    except OSError as error:
-        raise BusError(f"cannot write the log {log_path}: {error}; choose a folder you may write to") from error
+    _check_end(partial)
+    # The log comes last and from the disk's point of view whole, so that a power failure leaves no half of it.
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+    record = _Record(origin=origin, timing=timing, size=partial.stat().st_size, digest=file_digest(partial))
+    write_whole(_record_path(log_path), record.model_dump_json() + "\n")
+    partial.replace(log_path)
+
+
+def _check_end(partial: Path) -> None:
+    """Refuse a log whose last bytes found no room: LCM's writer does not tell.
+
+    Raises:
+        OSError: The log does not end with the end of a trial.
+    """
+    events, damage = read_events(partial)
+    last = next((decode(TRIAL, event.data) for event in reversed(events) if event.channel == TRIAL), None)
+    if damage or last is None or last.event != EventName.END:
+        raise OSError(errno.ENOSPC, "it is cut off, the disk may be full")
 
 
 def set_aside(path: Path, log_path: Path) -> Path:
@@ -117,7 +161,15 @@ def set_aside(path: Path, log_path: Path) -> Path:
     """
     folder = log_path.parent / "void"
     folder.mkdir(exist_ok=True)
-    number = len(list(folder.iterdir()))
+    numbers = [path.stem.rpartition("_")[2] for path in folder.glob(f"*{LOG_SUFFIX}")]
+    there = [int(number) for number in numbers if number.isdecimal()]
+    # Counted beside it, so that a number is not given again after logs were moved away from `void`.
+    counter = log_path.parent / ".void_logs"
+    with contextlib.suppress(OSError, ValueError):
+        there.append(int(read_bounded(counter, 100)))
+    number = max(there, default=-1) + 1
+    with contextlib.suppress(OSError):
+        write_whole(counter, f"{number}\n")
     return path.rename(folder / f"{log_path.stem}_{number}{LOG_SUFFIX}")
 
 
@@ -127,20 +179,17 @@ def _record_path(log_path: Path) -> Path:
 
 @lru_cache(maxsize=1)
 def environment() -> dict[str, str]:
-    """Return what shapes a log besides the config: the versions of all packages, and our own source."""
+    """Return what shapes a log besides the config: all packages, our own source, and how the processor computes."""
     versions = {name: version for name, version in installed_versions().items() if name != THIS_MACHINE}
-    return versions | {"source": _digest_of_source()}
+    return versions | {"source": digest_of_packages(*SOURCES)}
 
 
-def _digest_of_source() -> str:
-    """Return a hash of the code, which changes more often than the version does."""
-    digest = hashlib.sha256()
-    for package in SOURCES:
-        spec = find_spec(package)
-        for folder in spec.submodule_search_locations or () if spec else ():
-            for path in sorted(path for kind in ("*.py", "*.urdf") for path in Path(folder).rglob(kind)):
-                digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:12]
+def plugin_code(config: ExperimentConfig) -> dict[str, str]:
+    """Return what the plug-ins are that a config names."""
+    plugins = {"backend": (BACKENDS, config.backend), "robot": (ROBOTS, config.robot), "task": (TASKS, config.task)}
+    code = {f"{kind} code": str(provenance(one.group, named.name)) for kind, (one, named) in plugins.items()}
+    planners = sorted({method.controller.name for method in config.methods.values()})
+    return {**code, "planner code": ", ".join(str(provenance(PLANNERS.group, name)) for name in planners)}
 
 
 def file_digest(path: Path) -> str:

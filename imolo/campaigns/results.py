@@ -1,17 +1,24 @@
 """The folder that holds everything of an experiment, and what says how it came about."""
 
 import platform
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import BinaryIO
 
-import yaml
 from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import backend_options
+from imolo.config.yaml_file import dump_yaml
+from imolo.contracts.provenance import arithmetic, provenance
+from imolo.contracts.registry import BACKENDS
 from imolo.errors import ResultsError
+from imolo.machine.files import TEMPORARY, whole_file
+from imolo.machine.folder_lock import claim_folder
 from imolo.messaging.log import LOG_SUFFIX
 
 PACKAGES = (
@@ -40,20 +47,22 @@ class ResultsFolder:
     path: Path
 
     def prepare(self) -> None:
-        """Create the folder.
+        """Create the folder, and keep other programs out of it until this one ends.
 
         Raises:
-            ResultsError: It cannot be written.
+            ResultsError: It cannot be written, or another program is at work in it.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            probe = self.path / ".writable"
-            probe.touch()
-            probe.unlink()
+            owner = claim_folder(self.path)
         except OSError as error:
             raise ResultsError(
                 f"cannot write results to {self.path}: {error.strerror}; choose another --out"
             ) from error
+        if owner:
+            raise ResultsError(f"{self.path} is in use by {owner}; wait until it ends, or choose another --out")
+        for path in self.path.rglob(TEMPORARY):
+            path.unlink(missing_ok=True)
 
     def discard_trials(self) -> None:
         """Delete the trials that are there, so that all of them are run anew.
@@ -89,31 +98,50 @@ class ResultsFolder:
         return self.path / "figures"
 
     def save_config(self, config: ExperimentConfig) -> None:
-        """Write the config with every default, the backend's own ones included."""
-        path = self.path / "configs" / f"{config.backend.name}.yaml"
-        path.parent.mkdir(parents=True, exist_ok=True)
+        """Write the config with every default, the backend's own ones included.
+
+        Raises:
+            ResultsError: It cannot be written, as with every file of the folder.
+        """
         content = config.model_dump(mode="json")
         content["backend"].update(backend_options(config).model_dump(mode="json"))
-        path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        with self.file(f"configs/{config.backend.name}.yaml") as file:
+            file.write(dump_yaml(content).encode())
 
     def save_figure(self, name: str, figure: Figure) -> Path:
         """Write a figure to a file of this name among the figures, and return the file."""
-        path = self.figures / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, bbox_inches="tight", facecolor="white")
-        return path
+        with self.file(f"figures/{name}") as file:
+            figure.savefig(file, format=Path(name).suffix[1:], bbox_inches="tight", facecolor="white")
+        return self.figures / name
 
     def save_json(self, name: str, content: BaseModel) -> None:
         """Write numbers to a file of this name."""
-        (self.path / name).write_text(content.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        with self.file(name) as file:
+            file.write(f"{content.model_dump_json(indent=1)}\n".encode())
+
+    @contextmanager
+    def file(self, name: str) -> Iterator[BinaryIO]:
+        """Open a file that is replaced as a whole when the block ends, see `whole_file`."""
+        try:
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(self.path / name) as file:
+                yield file
+        except OSError as error:
+            raise ResultsError(
+                f"cannot write {self.path / name}: {error.strerror}; make room or choose another --out"
+            ) from error
 
 
-def installed_versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that results depend on."""
+def installed_versions(backends: Iterable[str] = ()) -> dict[str, str]:
+    """Return the versions of Python and of all that results depend on, and how the processor computes.
+
+    Args:
+        backends: Whose code is named too.
+    """
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for package in PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return found | arithmetic() | {f"backend {name}": str(provenance(BACKENDS.group, name)) for name in backends}

@@ -16,6 +16,9 @@ from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
 from imolo.method.table import TableGrid
 
+# A name becomes that of a folder.
+MethodName = Annotated[str, Field(pattern=r"^\w[\w .+-]{0,62}$")]
+
 
 class PluginConfig(Model):
     """Which plug-in; every other key is an option of that plug-in and checked by it."""
@@ -93,7 +96,7 @@ class ExperimentConfig(Model):
     motion: SerializeAsAny[MotionTemplate]
     training: TrainingConfig
     tracker: BallTrackerConfig = BallTrackerConfig()
-    methods: Annotated[dict[str, MethodConfig], Field(min_length=1)]
+    methods: Annotated[dict[MethodName, MethodConfig], Field(min_length=1)]
     campaign: CampaignConfig = CampaignConfig()
     simulation: SimulationConfig
 

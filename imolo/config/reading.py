@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
-import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import to_json
 
+from imolo.config.yaml_file import MOST_QUOTED, YamlError, load_yaml
 from imolo.errors import ConfigError, did_you_mean
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
@@ -23,11 +24,11 @@ def read_yaml(path: Path, least: str) -> dict[str, Any]:
         ConfigError: The file cannot be read, or holds no settings.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = load_yaml(path)
     except OSError as error:
         raise ConfigError(f"cannot read the config {path}: {error.strerror}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    except YamlError as error:
+        raise ConfigError(f"{path} {error}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path} holds no settings; {least}")
     return content
@@ -48,10 +49,10 @@ def read_model(path: Path, model: type[AnyModel], least: str) -> AnyModel:
 
 
 def check_model(content: Mapping[str, Any], model: type[AnyModel], where: str) -> AnyModel:
-    """Return a model of plain values.
+    """Return a model of plain values; texts and booleans are no numbers.
 
     Args:
-        content: As YAML has it.
+        content: As `load_yaml` returns it.
         model: What it must hold.
         where: Named in errors.
 
@@ -59,7 +60,8 @@ def check_model(content: Mapping[str, Any], model: type[AnyModel], where: str) -
         ConfigError: A key is unknown, or a value is out of range.
     """
     try:
-        return model.model_validate(content)
+        # Of JSON a list is a tuple also for pydantic's strict mode.
+        return model.model_validate_json(to_json(content), strict=True)
     except ValidationError as error:
         raise ConfigError(explain(error, model, where)) from error
 
@@ -70,15 +72,23 @@ def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         known = _keys_beside(model, first["loc"])
-        message = f"unknown key {key!r}{did_you_mean(str(first['loc'][-1]), known)}"
+        message = f"unknown key {_short(key)}{did_you_mean(str(first['loc'][-1]), known)}"
         if known:
             message += f" (known: {', '.join(known)})"
     elif first["type"] == "missing":
         message = f"{key!r} is missing"
     else:
-        message = f"{key!r} is {first['input']!r}: {first['msg'].removeprefix('Value error, ')}"
+        reason = first["msg"].removeprefix("Value error, ").replace("an object", "a valid dictionary")
+        message = f"{key!r} is {_short(first['input'])}: {reason}"
+        if first["type"] == "bool_type":
+            message += "; write true or false"
     others = len(error.errors()) - 1
     return f"{where}: {message}" + (f" (and {others} more)" if others else "")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= MOST_QUOTED else f"{text[:MOST_QUOTED]} ..."
 
 
 def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 from imolo.conformance.check import Measurement, Outcome, Verdict
 from imolo.conformance.suite import Suite
 from imolo.errors import ResultsError
+from imolo.machine.files import write_whole
 
 Cell = tuple[str, str]
 """Check and quantity, which name a number; the quantity is empty where a check broke off."""
@@ -88,7 +89,7 @@ def write_text(path: Path, text: str) -> None:
         ResultsError: It cannot be written.
     """
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}") from error
 

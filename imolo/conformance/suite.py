@@ -12,6 +12,7 @@ from imolo.config.loading import load_config
 from imolo.config.model import Model
 from imolo.conformance.check import Check, Outcome, Verdict, run_check
 from imolo.contracts.backend import BackendPlugin
+from imolo.contracts.provenance import provenance
 from imolo.contracts.registry import BACKENDS, ready_simulations
 from imolo.errors import ConfigError, did_you_mean
 
@@ -76,8 +77,8 @@ class Suite:
         return [name for name, check in self.checks.items() if not only or {name, check.group} & set(only)]
 
     def versions(self) -> dict[str, str]:
-        """Return the versions of the packages that the extra of the backend's name brings."""
-        found = {}
+        """Return what the plug-in's code is, and the versions of the packages that the extra of its name brings."""
+        found = {"plug-in": str(provenance(BACKENDS.group, self.backend))}
         for package in _packages(entry_points(group=BACKENDS.group)[self.backend]):
             try:
                 found[package] = version(package)

@@ -1,10 +1,9 @@
 """How a table lies on disk: one npz of plain arrays and a JSON header, with a checksum over both; no pickles."""
 
-import contextlib
 import hashlib
 import io
 import json
-import os
+import math
 import struct
 import zipfile
 import zlib
@@ -16,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imolo.errors import TableFileError
+from imolo.machine.files import open_bounded, whole_file
 
 FORMAT = "imolo-table"
 VERSION = 3  # 1 lacked hand_std; 2 knew theta = (k, t_w) alone
+MOST_BYTES = 500_000_000  # of all arrays, and of the file; the tables of the shipped configs have up to 140,000,000
+MOST_HEADER = 1_000_000  # [bytes]
 
 # What zipfile, zlib and numpy raise on bytes that are not what they should be.
 _DAMAGE = (
@@ -53,18 +55,11 @@ def write_table_file(path: Path, header: Mapping[str, Any], arrays: Mapping[str,
         raise TableFileError(f"the origin of the table cannot be stored: {error}; give JSON-able values") from error
     content: dict[str, Any] = {"header": np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
     checksum = np.frombuffer(_checksum(content), dtype=np.uint8)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("wb") as file:
+        with whole_file(path) as file:
             np.savez_compressed(file, checksum=checksum, **content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
     except OSError as error:
         raise TableFileError(f"table file {path} cannot be written: {error.strerror or error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
 
 
 def read_table_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -80,49 +75,84 @@ def read_table_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
         TableFileError: The file cannot be read, is damaged, is no table or was written by an older or newer imolo.
     """
     try:
-        data = path.read_bytes()
+        file = open_bounded(path, MOST_BYTES)
     except OSError as error:
         raise TableFileError(f"table file {path} cannot be read: {error.strerror or error}") from error
     try:
-        content = _unpack(data)
+        with file, zipfile.ZipFile(file) as archive:
+            parts = _parts(archive)
+            header = _read_array(archive, parts.pop("header"))
+            # Before the arrays are unpacked, which may be large.
+            description = _describe(path, header)
+            content = {name: _read_array(archive, part) for name, part in parts.items()}
     except _DAMAGE as error:
         raise TableFileError(
             f"table file {path} is damaged or not an imolo table ({' '.join(str(error).split())}); build it again"
         ) from error
-    header = content.pop("header")
     checksum = content.pop("checksum").tobytes()
-    try:
-        description = json.loads(header.tobytes())
-        is_table = description["format"] == FORMAT
-        version = int(description["version"])
-    except (LookupError, TypeError, ValueError):
-        is_table = False
-    if not is_table:
-        raise TableFileError(f"{path} is an npz file but not an imolo table; give a file that LookupTable.save wrote")
-    if version > VERSION:
-        raise TableFileError(
-            f"table file {path} has format version {version}, this imolo reads {VERSION}; update imolo"
-        )
-    if version < VERSION:
-        raise TableFileError(
-            f"table file {path} has format version {version}, this imolo reads {VERSION}; build it again"
-        )
     if _checksum({"header": header, **content}) != checksum:
         raise TableFileError(f"table file {path} is damaged (its checksum differs); build it again")
     return description, content
 
 
-def _unpack(data: bytes) -> dict[str, NDArray[Any]]:
-    # The sums inside the zip are checked first, so that numpy parses no damaged array header.
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        damaged = archive.testzip()
-        if damaged is not None:
-            raise zipfile.BadZipFile(f"bad checksum of {damaged}")
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        content = {name: archive[name] for name in archive.files}
-    if not {"header", "checksum"} <= content.keys() or not all(isinstance(a, np.ndarray) for a in content.values()):
+def _describe(path: Path, header: NDArray[Any]) -> dict[str, Any]:
+    """Return what the header says.
+
+    Raises:
+        TableFileError: It is that of something else, or of an older or newer imolo.
+    """
+    try:
+        description: dict[str, Any] = json.loads(header.tobytes())
+        is_table = description["format"] == FORMAT
+        version = int(description["version"])
+    except (LookupError, TypeError, ValueError, RecursionError):
+        is_table = False
+    if not is_table:
+        raise TableFileError(f"{path} is an npz file but not an imolo table; give a file that LookupTable.save wrote")
+    if version != VERSION:
+        fix = "update imolo" if version > VERSION else "build it again"
+        raise TableFileError(f"table file {path} has format version {version}, this imolo reads {VERSION}; {fix}")
+    return description
+
+
+def _parts(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the arrays of an archive by name, unread.
+
+    Raises:
+        ValueError: They are none of ours, or too large.
+    """
+    parts = {part.filename.removesuffix(".npy"): part for part in archive.infolist()}
+    if not {"header", "checksum"} <= parts.keys():
         raise ValueError("it holds no header")
-    return content
+    if len(parts) < len(archive.infolist()):
+        raise ValueError("it holds an array twice")
+    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts.values()):
+        raise ValueError("it is not compressed as numpy does")
+    if parts["header"].file_size > MOST_HEADER or sum(part.file_size for part in parts.values()) > MOST_BYTES:
+        raise ValueError(f"it is larger than the {MOST_BYTES / 1e6:g} MB that are read")
+    return parts
+
+
+def _read_array(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> NDArray[Any]:
+    """Unpack an array of numbers, and no more than it is said to have.
+
+    Raises:
+        ValueError: It is damaged, or its header is not that of what follows.
+    """
+    with archive.open(part) as packed:
+        # Its sum is checked by this, so that numpy parses no damaged header.
+        data = io.BytesIO(packed.read(part.file_size))
+    read_header = (
+        np.lib.format.read_array_header_1_0
+        if np.lib.format.read_magic(data) == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, dtype = read_header(data)
+    if dtype.kind not in "biuf" or data.tell() + math.prod(shape) * dtype.itemsize != part.file_size:
+        raise ValueError("it holds other arrays than its headers say")
+    data.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(data, allow_pickle=False)
+    return array
 
 
 def _checksum(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -130,5 +160,5 @@ def _checksum(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
+        digest.update(array.data)
     return digest.digest()

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from imolo.campaigns.campaign import log_name
@@ -13,10 +12,14 @@ from imolo.campaigns.comparison import Comparison, Timings
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import validated_config
+from imolo.config.reading import read_yaml
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import ConfigError, ResultsError
+from imolo.machine.files import read_bounded
+from imolo.report.plausibility import check_numbers, check_result
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult
 
+MOST_BYTES = 100_000_000  # the summary of 10,000 balls has 5,000,000
 AGAIN = "run `imolo compare` again, or restore the file"
 
 Content = TypeVar("Content", bound=BaseModel)
@@ -93,9 +96,13 @@ def read_campaign(path: Path) -> Campaign | None:
         file = path / "configs" / f"{backend}.yaml"
         if backend not in configs:
             raise ResultsError(f"{file} is missing, but summary.json names it; {AGAIN}")
-        for method in methods:
+        for method, result in methods.items():
             if method not in configs[backend].methods:
                 raise ResultsError(f"{file} has no method {method!r}, but summary.json names it; {AGAIN}")
+            try:
+                check_result(f"{backend}, {method}", result)
+            except ValueError as error:
+                raise ResultsError(f"{path / 'summary.json'} is damaged: {error}; {AGAIN}") from error
     return Campaign(
         results=results,
         configs={backend: configs[backend] for backend in results},
@@ -116,7 +123,7 @@ def read_text(path: Path) -> str:
         ResultsError: It cannot be read.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded(path, MOST_BYTES).decode()
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}; {AGAIN}") from error
     except UnicodeDecodeError as error:
@@ -130,12 +137,16 @@ def parse(model: type[Content], text: str, path: Path) -> Content:
         ResultsError: It is damaged, or of another version of imolo.
     """
     try:
-        return model.model_validate_json(text)
+        content = model.model_validate_json(text)
+        check_numbers(text)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         reason = f"{place}: {first['msg']}" if place else first["msg"]
         raise ResultsError(f"{path} is damaged: {reason}; {AGAIN}") from error
+    except ValueError as error:
+        raise ResultsError(f"{path} is damaged: {error}; {AGAIN}") from error
+    return content
 
 
 def _read_configs(path: Path) -> tuple[dict[str, ExperimentConfig], dict[str, str]]:
@@ -145,9 +156,7 @@ def _read_configs(path: Path) -> tuple[dict[str, ExperimentConfig], dict[str, st
     for file in sorted((path / "configs").glob("*.yaml")):
         texts[file.stem] = read_text(file)
         try:
-            configs[file.stem] = validated_config(yaml.safe_load(texts[file.stem]), f"{file} is damaged")
-        except yaml.YAMLError as error:
-            raise ResultsError(f"{file} is damaged: {' '.join(str(error).split())}; {AGAIN}") from error
+            configs[file.stem] = validated_config(read_yaml(file, "it needs a backend"), f"{file} is damaged")
         except ConfigError as error:
             raise ResultsError(f"{error}; {AGAIN}") from error
     return configs, texts

@@ -19,6 +19,7 @@ from imolo.config.loading import body_of, known_body, task_plugin
 from imolo.contracts.registry import ROBOTS
 from imolo.contracts.robot import Published
 from imolo.errors import ResultsError
+from imolo.machine.files import write_whole
 from imolo.messaging import channels
 from imolo.messaging.log import read_log
 from imolo.report.folder import Campaign, ReportedTrial, read_campaign
@@ -94,7 +95,7 @@ def write_report(folder: Path, out: Path, progress: Progress = lambda *_: None) 
     page = _environment().get_template("page.html").render(context)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(page, encoding="utf-8")
+        write_whole(out, page)
     except OSError as error:
         raise ResultsError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     return Written(out, len(page.encode()), len(campaign.trials) if campaign else 0, missing)

@@ -1,6 +1,6 @@
 """The rating of ball models as a table and a figure."""
 
-from pathlib import Path
+from typing import BinaryIO
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def _table(evaluation: Evaluation, protocol: str) -> Table:
     return table
 
 
-def draw_evaluation(evaluation: Evaluation, path: Path) -> None:
+def draw_evaluation(evaluation: Evaluation, file: BinaryIO) -> None:
     """Draw error and calibration against the lead time, both for the last point of each flight."""
     with mpl.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.0, 3.4), layout="constrained")
@@ -80,7 +80,7 @@ def draw_evaluation(evaluation: Evaluation, path: Path) -> None:
         calibration.set(xlabel="lead time [s]", ylabel="NEES / 3", yscale="log", xlim=(0.0, None))
         _include_decade(calibration)
         calibration.set_title("Calibration: 1 is right, more is too sure", loc="left", fontsize=9)
-        figure.savefig(path, facecolor="white")
+        figure.savefig(file, format="png", facecolor="white")
 
 
 def _draw_model(error: Axes, calibration: Axes, ratings: list[Rating]) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from imolo.ball.csv_format import CsvFormat
 from imolo.ball.evaluation import Evaluation, leave_one_out
 from imolo.ball.flight_file import read_flights
 from imolo.ball.model import KINDS, BallModelConfig, Kind
@@ -32,13 +33,19 @@ class Study:
     models: tuple[Kind, ...]
     horizons: tuple[float, ...]
 
-    def rate_recorded(self, path: Path, jobs: int, progress: Progress) -> Evaluation:
+    def rate_recorded(self, path: Path, form: CsvFormat, jobs: int, progress: Progress) -> Evaluation:
         """Rate on a CSV file of flights.
+
+        Args:
+            path: The file.
+            form: What is said about its units, axes, separators and decimals.
+            jobs: Number of processes.
+            progress: Told what is done.
 
         Raises:
             TrainingDataError: The file cannot be read, or holds too few flights.
         """
-        recorded = read_flights(path, BallModelConfig().min_duration)
+        recorded = read_flights(path, BallModelConfig().min_duration, form)
         return leave_one_out(
             str(path), recorded.flights, recorded.left_out, self._configs(), self.horizons, jobs, progress
         )

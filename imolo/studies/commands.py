@@ -32,7 +32,14 @@ def ball(
     config: Annotated[
         Path | None, typer.Argument(help="YAML of a backend whose thrower is to throw, unless --data is given.")
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="CSV of recorded flights: flight,time_s,x_m,y_m,z_m.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="CSV of recorded flights: flight,time_s,x_m,y_m,z_m, or as Motive exports it.")
+    ] = None,
+    units: Annotated[str | None, typer.Option(help="Of positions in --data: m, cm, mm.")] = None,
+    time: Annotated[str | None, typer.Option(help="Unit of times in --data: s, ms, us, ns.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of --data that points upwards: z, -z, y, -y, x, -x.")] = None,
+    separator: Annotated[str | None, typer.Option(help="Of columns in --data: , ; tab |")] = None,
+    decimal: Annotated[str | None, typer.Option(help="Mark of decimals in --data: . ,")] = None,
     models: Annotated[str, typer.Option(help="Ball models to rate, with commas.")] = "linear,drag,spin",
     horizons: Annotated[
         str | None, typer.Option(help="Lead times [s], with commas [default: recorded .1 to .4, simulated .25 to .75].")
@@ -48,26 +55,28 @@ def ball(
 
     Writes ball.json and ball.png to the results folder.
     """
+    from imolo.ball.csv_format import CsvFormat
     from imolo.config.loading import load_config
     from imolo.studies import ball_report, ball_study
 
     if (config is None) == (data is None):
         raise ConfigError("give either the config of a backend or --data FILE")
+    form = CsvFormat(units, time, up, separator, decimal)
     study = ball_study.Study(
         models=ball_study.parse_models(models),
         horizons=ball_study.parse_horizons(horizons, recorded=data is not None),
     )
     folder = open_results(out, fresh)
-    folder.prepare()
     with ProgressBars(kept_in(out)) as bars:
         if data is not None:
-            result = study.rate_recorded(data, jobs, bars.show)
+            result = study.rate_recorded(data, form, jobs, bars.show)
         elif config is not None:
             chosen = override(load_config(config), seed=seed, scheduler=scheduler)
             result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
-    ball_report.draw_evaluation(result, out / "ball.png")
+    with folder.file("ball.png") as file:
+        ball_report.draw_evaluation(result, file)
     say(f"ball.json and ball.png are in {out}")
 
 

@@ -90,7 +90,7 @@ def study(
         seed=configs[0].seed,
         repetitions=repetitions,
         pool=pool,
-        versions=installed_versions(),
+        versions=installed_versions(named),
         configs={name: config.digest() for name, config in named.items()},
         results={
             name: _study_one(config, trials, repetitions, pool, folder, jobs, progress)

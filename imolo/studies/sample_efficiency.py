@@ -224,7 +224,7 @@ def study(
     result = SampleEfficiency(
         seed=configs[0].seed,
         sizes=sizes,
-        versions=installed_versions(),
+        versions=installed_versions(named),
         configs={name: config.digest() for name, config in named.items()},
         points=tuple(points),
         floors=floors,

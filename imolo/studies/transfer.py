@@ -138,7 +138,7 @@ def transfer(
         seed=configs[0].seed,
         motions=motions,
         trials=len(configs[0].training.motions),
-        versions=installed_versions(),
+        versions=installed_versions(names),
         configs={name: config.digest() for name, config in players.items()},
         cells=tuple(
             cell

@@ -11,6 +11,7 @@ import viser
 from imolo.config.loading import known_body
 from imolo.contracts.robot import Body
 from imolo.errors import BackendNotFoundError, ConfigError, ResultsError
+from imolo.machine.files import write_whole
 from imolo.messaging.bus import Bus
 from imolo.view.scene import SessionScene, prepare_scene, show_all
 from imolo.view.sessions import LiveSession, RecordedSession
@@ -85,7 +86,7 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
         _stop(server)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(html, encoding="utf-8")
+        write_whole(path, html)
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}; choose another --html") from error
 

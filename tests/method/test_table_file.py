@@ -1,7 +1,13 @@
 """Claims about the file of a table."""
 
+import io
 import json
+import os
+import struct
+import subprocess
+import sys
 import tempfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -155,3 +161,85 @@ def test_origin_that_is_not_json_is_refused(tmp_path: Path) -> None:
         table = LookupTable.build(SHARP, ROUGH, np.random.default_rng(0), origin={"value": value})
         with pytest.raises(TableFileError, match="origin"):
             table.save(tmp_path / "t.npz")
+
+
+# Files that are made to be large.
+
+BOUND = 300 << 20  # [bytes] of address space beyond what is there: far less than the bombs unpack to
+LARGE = 600_000_000  # [bytes] unpacked; 600,000 packed
+ROOM = """
+import resource, sys
+from imolo.errors import TableFileError
+from imolo.method.table import LookupTable
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + {bound},) * 2)
+from pathlib import Path
+for path in sys.argv[1:]:
+    try:
+        LookupTable.load(Path(path))
+    except TableFileError as error:
+        print(error)
+"""
+
+
+def npy(shape: tuple[int, ...], data: bytes) -> bytes:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return header.getvalue() + data
+
+
+def write_bomb(path: Path, header: bytes | None, shape: tuple[int, ...] = (LARGE // 8,), size: int = LARGE) -> None:
+    """Write an npz whose array `theta` is said to have a shape and unpacks to so many zeros."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("header", "checksum") if header is not None else ():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.frombuffer(header, dtype=np.uint8))
+            archive.writestr(f"{name}.npy", buffer.getvalue())
+        with archive.open("theta.npy", "w", force_zip64=True) as member:
+            member.write(npy(shape, b""))
+            for _ in range(size >> 20):
+                member.write(bytes(1 << 20))
+
+
+def test_large_foreign_and_lying_files_are_refused_in_little_memory(tmp_path: Path) -> None:
+    ours = json.dumps({"format": table_file.FORMAT, "version": table_file.VERSION}).encode()
+    foreign = json.dumps({"format": "other", "version": 1}).encode()
+    small = 64 << 20
+    bombs = {
+        "holds no header": (None, (LARGE // 8,), LARGE),
+        "not an imolo table; give": (foreign, (small // 8,), small),
+        "larger than the 500 MB": (ours, (LARGE // 8,), LARGE),
+        "other arrays than its headers say": (ours, (10**15,), 1 << 20),
+    }
+    paths = []
+    for number, (header, shape, size) in enumerate(bombs.values()):
+        paths.append(tmp_path / f"{number}.npz")
+        write_bomb(paths[-1], header, shape, size)
+    # The directory of the archive says that it is small.
+    lying = bytearray(paths[2].read_bytes())
+    said = lying.rindex(b"theta.npy") - 46
+    assert lying[said : said + 4] == b"PK\1\2"
+    lying[said + 24 : said + 28] = struct.pack("<I", 1 << 20)
+    paths.append(tmp_path / "lying.npz")
+    paths[-1].write_bytes(lying)
+    with (tmp_path / "sparse.npz").open("wb") as sparse:
+        sparse.truncate(4 << 30)
+    os.mkfifo(tmp_path / "pipe.npz")
+    paths += [tmp_path / "sparse.npz", tmp_path / "pipe.npz"]
+    ended = subprocess.run(
+        [sys.executable, "-c", ROOM.format(bound=BOUND), *paths], capture_output=True, text=True, check=True
+    )
+    said_of = ended.stdout.splitlines()
+    expected = [*bombs, "damaged or not an imolo table", "larger than the 500 MB", "a pipe or a device"]
+    assert len(said_of) == len(expected)
+    for line, part in zip(said_of, expected, strict=True):
+        assert part in line
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_archive_that_numpy_did_not_write_is_refused(saved: bytes, tmp_path: Path, compression: int) -> None:
+    with zipfile.ZipFile(io.BytesIO(saved)) as old, zipfile.ZipFile(tmp_path / "t.npz", "w", compression) as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    with pytest.raises(TableFileError, match="not compressed as numpy does"):
+        LookupTable.load(tmp_path / "t.npz")

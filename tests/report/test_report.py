@@ -14,7 +14,7 @@ from imolo.campaigns.comparison import Comparison
 from imolo.campaigns.results import ResultsFolder
 from imolo.campaigns.summary import millimetres
 from imolo.command_line.main import main
-from imolo.errors import ImoloError
+from imolo.errors import ImoloError, ResultsError
 from imolo.report.page import write_report
 from imolo.studies.transfer import Cell, Transfer
 from imolo.trials.metrics import Statistic, wilson_interval
@@ -191,6 +191,51 @@ def test_damage_is_told_in_one_line_with_file_and_fix(
     assert "\n" not in str(raised.value)
     assert all(part in str(raised.value) for part in named)
     assert not (tmp_path / "report.html").exists()
+
+
+def _edit(*place: str | int, value: object) -> Callable[[Path], object]:
+    """Return what sets one number of the summary."""
+
+    def edit(path: Path) -> None:
+        content = json.loads((path / "summary.json").read_text())
+        inner = content
+        for part in place[:-1]:
+            inner = inner[part]
+        inner[place[-1]] = value
+        (path / "summary.json").write_text(json.dumps(content))
+
+    return edit
+
+
+PAPER = ("results", "alpha", "paper")
+
+
+@pytest.mark.parametrize(
+    ("edit", "named"),
+    [
+        (_edit(*PAPER, "hits", value=999), "999 hits of 3 balls"),
+        (_edit(*PAPER, "hits", value=-1), "-1 hits of 3 balls"),
+        (_edit(*PAPER, "hits", value=1), "hits"),
+        (_edit(*PAPER, "balls", value=20), "balls"),
+        (_edit(*PAPER, "interval", value=[0.0, 2.0]), "interval"),
+        (_edit(*PAPER, "started", value=50), "started is 50, but its trials say 2"),
+        (_edit(*PAPER, "hand_error", "mean", value=float("nan")), "hand_error.mean is nan"),
+        (_edit(*PAPER, "hand_error", "mean", value=-0.01), "hand_error.mean is -0.01"),
+        (_edit(*PAPER, "hand_error", "sd", value=float("inf")), "hand_error.sd is inf"),
+        (_edit(*PAPER, "prediction_error", "0.25", "count", value=7), "count is 7, but its trials say"),
+        (_edit(*PAPER, "trials", 1, "hit", value=False), "hits"),
+        (_edit(*PAPER, "trials", 1, "trial", value=2), "a trial twice"),
+        (_edit(*PAPER, "causes", "no motion", value=3), "no motion"),
+        (_edit("disagreement", "alpha - beta", "mean", value=-1), "mean is -1"),
+    ],
+)
+def test_number_that_cannot_be_is_told_in_one_line(tmp_path: Path, edit: Callable[[Path], object], named: str) -> None:
+    folder = make_results(tmp_path / "results")
+    edit(folder.path)
+    with pytest.raises(ResultsError) as raised:
+        write_report(folder.path, tmp_path / "report.html")
+    assert "\n" not in str(raised.value)
+    assert all(part in str(raised.value) for part in ("summary.json is damaged", named, "imolo compare"))
 
 
 @pytest.mark.parametrize("make", [False, True])

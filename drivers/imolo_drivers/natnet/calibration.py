@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from imolo.config.model import Fraction, Model, NonNegative, Positive, Vector
-from imolo.errors import CalibrationError
+from imolo.config.reading import read_model
+from imolo.config.yaml_file import dump_yaml
+from imolo.errors import CalibrationError, ConfigError
+from imolo.machine.files import write_whole
 from imolo_drivers.natnet.messages import Array
 
 Z_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -75,7 +77,7 @@ class Calibration(Model):
 
     def to_yaml(self) -> str:
         """Return it as YAML."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        return dump_yaml(self.model_dump(mode="json"))
 
     def save(self, path: Path) -> None:
         """Write a YAML file.
@@ -84,7 +86,7 @@ class Calibration(Model):
             CalibrationError: It cannot be written.
         """
         try:
-            path.write_text(self.to_yaml(), encoding="utf-8")
+            write_whole(path, self.to_yaml())
         except OSError as error:
             raise CalibrationError(f"cannot write {path}: {error.strerror}") from None
 
@@ -96,12 +98,9 @@ class Calibration(Model):
             CalibrationError: The file is missing or damaged.
         """
         try:
-            return cls.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-        except OSError as error:
-            raise CalibrationError(f"cannot read {path}: {error.strerror}; calibrate first") from None
-        except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
-            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "it is not YAML"
-            raise CalibrationError(f"{path} is not a calibration: {reason}; calibrate again") from None
+            return read_model(path, cls, "calibrate first")
+        except ConfigError as error:
+            raise CalibrationError(f"{path} is not a calibration: {error}; calibrate first") from None
 
 
 def fit(
