@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imolo.command_line.terminal import INTERRUPTED, console, say
+from imolo.command_line.terminal import INTERRUPTED, console, plain, say
 from imolo.errors import ConfigError, did_you_mean
 from imolo.messaging.udpm import LOCAL_URL
 
@@ -203,6 +203,7 @@ def view(
 
 def _print_channels(result: "RunComparison", first: str, second: str) -> None:
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, padding=0)
@@ -214,5 +215,5 @@ def _print_channels(result: "RunComparison", first: str, second: str) -> None:
         parting = "-" if channel.first is None else f"{channel.first.utime * 1e-6:.6f}"
         largest = f"{channel.largest_field} {channel.largest:.4g}" if channel.largest_field else "-"
         counts = [str(count) for count in (*channel.counts, channel.equal)]
-        table.add_row(channel.channel, *counts, parting, largest)
+        table.add_row(escape(plain(channel.channel)), *counts, parting, escape(largest))
     console.print(table)

@@ -40,7 +40,7 @@ FLOOR = 1e-6  # smallest difference drawn, in the units shown
 def draw_divergence(
     first: Path, second: Path, parting: Difference | None, trials: tuple[int | None, int | None] = (None, None)
 ) -> Figure:
-    """Draw what lies between two runs, with the moment at which they part.
+    """Draw what lies between two runs that were compared before, with the moment at which they part.
 
     Args:
         first: Path of a log.
@@ -54,7 +54,7 @@ def draw_divergence(
     """
     selectors = [parse_selector(panel.field) for panel in PANELS]
     runs = [
-        read_series(path, selectors, trial, only_one=True, required=False, thin=samples)
+        read_series(path, selectors, trial, only_one=True, required=False, thin=samples, quiet=True)
         for path, trial in zip((first, second), trials, strict=True)
     ]
     gaps = [difference_over_time(one, other) for one, other in zip(*runs, strict=True)]

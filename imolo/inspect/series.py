@@ -17,7 +17,7 @@ from imolo.messaging.log_file import LogReader
 Array = NDArray[np.float64]
 Thin = Callable[[Array], Array]
 
-NUMBERS = 1 << 20  # that are kept of one field; a longer series is thinned to half of it and more
+NUMBERS = 1 << 18  # that are kept of one field; a longer series is thinned to half of it and more
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def read_series(
     only_one: bool = False,
     required: bool = True,
     thin: Thin = envelope,
+    quiet: bool = False,
 ) -> list[Series]:
     """Read some fields of a log.
 
@@ -63,6 +64,7 @@ def read_series(
         only_one: Refuse a log of several trials where none is chosen.
         required: Refuse a log in which a channel is silent; otherwise its series is empty.
         thin: Makes two rows of several, shape (2n, K) to (2, K), where a series is too long.
+        quiet: Do not warn of what is wrong with the log.
 
     Raises:
         BusError: The log cannot be read, or has no such trial.
@@ -70,7 +72,7 @@ def read_series(
     """
     wanted = {selector.channel for selector in selectors}
     collected = [_Collector(selector, thin) for selector in selectors]
-    with LogReader(path, wanted | {TRIAL}) as reader:
+    with LogReader(path, wanted | {TRIAL}, quiet) as reader:
         timeline = Timeline(TrialEvents(reader, trial, only_one), wanted)
         for heard in timeline:
             for collector in collected:

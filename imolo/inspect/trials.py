@@ -37,6 +37,7 @@ class TrialEvents:
         self.offset = 0
         self.heard: set[str] = set()
         self.trial, self._only_one = trial, only_one
+        self._started_with = b""
 
     def __iter__(self) -> Iterator[LogEvent]:
         """Yield the events.
@@ -45,7 +46,9 @@ class TrialEvents:
             BusError: The log cannot be read, has no such trial, or has several where only one is asked for.
         """
         for event in self.reader:
-            if event.channel == TRIAL:
+            if event.channel != TRIAL:
+                self._started_with = b""
+            elif event.data != self._started_with:  # a start right after the same start is a copy of it
                 self._begin(event)
             if self.trial is not None:
                 if self.count > self.trial + 1:
@@ -63,7 +66,7 @@ class TrialEvents:
         if message is None or message.event != EventName.START:
             return
         self.count += 1
-        self.start = message
+        self.start, self._started_with = message, event.data
         self.offset = event.utime + self.reader.shift - message.utime
         if self._only_one and self.trial is None and self.count > 1:
             raise BusError(

@@ -4,6 +4,7 @@ LCM's own reader ends silently at the first damage, drops the last event before 
 """
 
 import logging
+import os
 import struct
 from collections.abc import Container, Iterator
 from dataclasses import dataclass
@@ -76,13 +77,14 @@ class LogReader:
             steps back, time goes on where it was [µs].
     """
 
-    def __init__(self, path: Path, with_data: Container[str] | None = None) -> None:
+    def __init__(self, path: Path, with_data: Container[str] | None = None, quiet: bool = False) -> None:
         """Open a log.
 
         Args:
             path: Of the log.
             with_data: Channels whose messages are wanted; the `data` of others is empty, and their bytes are not read.
                 None for all. Data longer than `MAX_DATA_LENGTH` are left out.
+            quiet: Do not warn, as where a log is read for the second time.
 
         Raises:
             BusError: The file is missing, cannot be read, or is a pipe or a device.
@@ -90,7 +92,7 @@ class LogReader:
         self.path = path
         self.damage: list[Damage] = []
         self.shift = 0
-        self._with_data = with_data
+        self._with_data, self._quiet = with_data, quiet
         self._block, self._block_start = b"", 0
         self._found_one = False
         self._damaged = 0
@@ -141,7 +143,8 @@ class LogReader:
             position, header = header.end, following
         if self._size and not self._found_one:
             raise BusError(f"{self.path} is no LCM log; give a file that imolo or lcm-logger wrote")
-        self._warn(steps)
+        if not self._quiet:
+            self._warn(steps)
 
     def event(self, offset: int) -> LogEvent:
         """Return the event that starts at the offset of one that was read before [bytes]."""
@@ -208,11 +211,19 @@ class LogReader:
 
     def _find(self, start: int, end: int) -> int | None:
         """Return the place of the first sync word that starts in a part of the file."""
-        for place in range(start, end, BLOCK):
+        while (place := self._data_from(start)) is not None and place < end:
             found = self._read(place, min(BLOCK, end - place) + len(SYNC) - 1).find(SYNC)
             if found >= 0:
                 return place + found
+            start = place + BLOCK
         return None
+
+    def _data_from(self, start: int) -> int | None:
+        """Return where the next byte is that is not in a hole of a sparse file."""
+        try:
+            return os.lseek(self._file.fileno(), start, os.SEEK_DATA)
+        except OSError:
+            return None
 
     def _header(self, start: int) -> _Header | None:
         """Return the header at a place, if there can be one."""

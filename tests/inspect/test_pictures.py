@@ -4,6 +4,7 @@ import base64
 import re
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -16,9 +17,10 @@ from requirements import needs
 
 from imolo.contracts.backend import EventName
 from imolo.contracts.registry import describe_robot
-from imolo.inspect.fields import parse_selector, series
+from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, short_names
-from imolo.inspect.statistics import ChannelStatistics, statistics_of
+from imolo.inspect.series import read_series
+from imolo.inspect.statistics import BusStatistics, ChannelStatistics
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
@@ -30,12 +32,12 @@ from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
 
 
 def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
-    logs = [read_log(recorded.first), read_log(recorded.second)]
+    logs = [recorded.first, recorded.second]
     selectors = [parse_selector("VALVE_PRESSURE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
     pressures, theta = draw_fields(logs, selectors).axes
     assert (len(pressures.lines), len(theta.lines)) == (6, 2)
     assert (pressures.get_ylabel(), theta.get_ylabel(), theta.get_xlabel()) == ("[Pa]", "[s]", "time [s]")
-    expected = series(logs[1], selectors[1])
+    (expected,) = read_series(logs[1], selectors[1:])
     assert theta.lines[1].get_xydata().tolist() == [[t, v] for t, (v,) in zip(expected.time, expected.values)]  # type: ignore[union-attr] # noqa: B905
 
 
@@ -62,6 +64,11 @@ def test_figure_of_an_unknown_kind_is_one_line(recorded: Recorded, run: Run) -> 
         (["a/x_1.lcmlog", "a/x_2.lcmlog"], ["x_1", "x_2"]),
         (["a/x.lcmlog"], ["x"]),
         (["x.lcmlog", "x.lcmlog"], ["x", "x"]),
+        (["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"], ["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"]),
+        (["a/x", "a/x.lcmlog"], ["x", "x.lcmlog"]),
+        (["/logs/x.lcmlog", "x.lcmlog"], ["/logs", "x"]),
+        ([".lcmlog"], [".lcmlog"]),
+        (["x\x1b[31m.lcmlog"], ["x\\x1b[31m"]),
     ],
 )
 def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names: list[str]) -> None:
@@ -72,7 +79,10 @@ def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names:
 
 
 def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> None:
-    found = {channel.channel: channel for channel in statistics_of(read_events(recorded.first)[0]).channels}
+    statistics = BusStatistics()
+    for event in read_events(recorded.first):
+        statistics.add(event.channel, event.data, event.utime * 1e-6)
+    found = {channel.channel: channel for channel in statistics.channels}
     assert list(found) == list(channels.STREAMS)
     # Stamps are multiples of the 1 ms between two looks at the bus, over most of a second.
     assert found["VALVE_PRESSURE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
@@ -168,10 +178,12 @@ def test_page_plays_robot_ball_and_plan_of_every_log_without_a_network(
 
 
 def test_recorded_session_shows_the_newest_messages_by_their_own_time(recorded: Recorded) -> None:
-    (session,) = recorded_sessions([read_log(recorded.first)], ["x"])
-    moment = session.at(0.3)
-    assert all(0.29 < moment[name].utime * 1e-6 <= 0.3 for name in ("TRUTH_ROBOT", "TRUTH_BALL", "MOCAP", "PLAN"))
-    assert set(session.at(0.0)) == {"TRIAL"}
+    (session,) = recorded_sessions([recorded.first], ["x"])
+    with closing(session):
+        moment = session.at(0.3)
+        assert all(0.29 < moment[name].utime * 1e-6 <= 0.3 for name in ("TRUTH_ROBOT", "TRUTH_BALL", "MOCAP", "PLAN"))
+        assert session.at(0.3)["PLAN"] is moment["PLAN"]  # what is not new is not drawn again
+        assert set(session.at(0.0)) == {"TRIAL"}
 
 
 def test_live_session_shows_what_came_last() -> None:
