@@ -67,8 +67,6 @@ class ChannelStatistics:
         self.count += 1
         self.last_time = time
         self._recent.append(time)
-        while self._recent[0] < time - WINDOW:
-            self._recent.popleft()
         if self._fingerprint is None:
             return
         # A log may have millions of messages, so one that shows its type and its number is not decoded.

@@ -59,7 +59,7 @@ class Damage:
 class _Header(NamedTuple):
     number: int
     utime: int
-    channel: bytes
+    channel: str
     start: int
     data_start: int
     end: int
@@ -179,11 +179,10 @@ class LogReader:
             )
 
     def _event(self, header: _Header) -> LogEvent:
-        name = _name(header.channel)
-        length = header.end - header.data_start
-        wanted = length <= MAX_DATA_LENGTH and (self._with_data is None or name in self._with_data)
-        data = self._read(header.data_start, length) if wanted else b""
-        return LogEvent(header.number, header.utime, name, data, header.start)
+        number, utime, channel, start, data_start, end = header
+        length = end - data_start
+        wanted = length <= MAX_DATA_LENGTH and (self._with_data is None or channel in self._with_data)
+        return LogEvent(number, utime, channel, self._read(data_start, length) if wanted else b"", start)
 
     def _is_whole(self, header: _Header, following: _Header | None) -> bool:
         """Return whether the length in a header can be believed, given what stands where it leads to."""
@@ -227,19 +226,18 @@ class LogReader:
 
     def _header(self, start: int) -> _Header | None:
         """Return the header at a place, if there can be one."""
-        at = self._load(start, min(HEADER.size + MAX_CHANNEL_LENGTH, self._size - start))
-        if start >= self._size or len(self._block) - at < HEADER.size:
-            return None
+        at = start - self._block_start
+        if not 0 <= at <= len(self._block) - HEADER.size - MAX_CHANNEL_LENGTH:
+            at = self._load(start, min(HEADER.size + MAX_CHANNEL_LENGTH, self._size - start))
+            if start >= self._size or len(self._block) - at < HEADER.size:
+                return None
         sync, number, utime, channel_length, data_length = HEADER.unpack_from(self._block, at)
         if sync != SYNC or not 0 < channel_length <= MAX_CHANNEL_LENGTH or data_length < 0:
             return None
         data_start = start + HEADER.size + channel_length
-        if data_start + data_length > self._size:
-            return None
-        channel = self._block[at + HEADER.size : at + HEADER.size + channel_length]
-        return (
-            None if b"\0" in channel else _Header(number, utime, channel, start, data_start, data_start + data_length)
-        )
+        end = data_start + data_length
+        channel = _name(self._block[at + HEADER.size : at + HEADER.size + channel_length])
+        return None if end > self._size or not channel else _Header(number, utime, channel, start, data_start, end)
 
     def _read(self, start: int, length: int) -> bytes:
         at = self._load(start, length)
@@ -259,7 +257,8 @@ class LogReader:
 
 @lru_cache(maxsize=1024)
 def _name(channel: bytes) -> str:
-    return channel.decode("utf-8", "backslashreplace")
+    """Return the name of a channel; empty if it can be none."""
+    return "" if b"\0" in channel else channel.decode("utf-8", "backslashreplace")
 
 
 def read_events(path: Path, with_data: Container[str] | None = None) -> Iterator[LogEvent]:

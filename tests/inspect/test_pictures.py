@@ -20,13 +20,14 @@ from imolo.contracts.registry import describe_robot
 from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, short_names
 from imolo.inspect.series import read_series
-from imolo.inspect.statistics import BusStatistics, ChannelStatistics
+from imolo.inspect.statistics import BusStatistics, ChannelStatistics, _short
+from imolo.inspect.top import WIDE, live_table
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
 from imolo.messaging.log_file import read_events
 from imolo.view.sessions import LiveSession, recorded_sessions
-from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
+from imolo_msgs import mocap_frame_t, plan_t, trial_event_t, truth_robot_t
 
 # Plots
 
@@ -66,7 +67,7 @@ def test_figure_of_an_unknown_kind_is_one_line(recorded: Recorded, run: Run) -> 
         (["x.lcmlog", "x.lcmlog"], ["x", "x"]),
         (["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"], ["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"]),
         (["a/x", "a/x.lcmlog"], ["x", "x.lcmlog"]),
-        (["/logs/x.lcmlog", "x.lcmlog"], ["/logs", "x"]),
+        (["/logs/x.lcmlog", "x.lcmlog"], ["/logs/x", "x"]),
         ([".lcmlog"], [".lcmlog"]),
         (["x\x1b[31m.lcmlog"], ["x\\x1b[31m"]),
     ],
@@ -105,6 +106,53 @@ def test_messages_of_another_type_and_of_others_are_counted() -> None:
     for statistics in (wrong, foreign):
         statistics.add(trial_event_t().encode(), 0.0)
     assert (wrong.undecoded, foreign.undecoded, wrong.count, foreign.count) == (1, 0, 1, 1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 41])
+def test_rate_of_a_running_session_is_that_of_the_last_second(count: int) -> None:
+    """A message every 50 ms; the rate is asked for with the last one."""
+    statistics = ChannelStatistics("CAMERA")
+    for number in range(count):
+        statistics.add(b"", 0.05 * number)
+    now = 0.05 * (count - 1) + 1e-6
+    # Within the first second the messages so far are divided by the time so far.
+    expected = count / max(now, 1e-3) if now < 1.0 else 20.0
+    assert statistics.rate(now) == pytest.approx(expected)
+    assert statistics.rate(now + 1.0) == 0.0
+
+
+def test_rate_beyond_what_is_remembered_is_that_of_what_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imolo.inspect.statistics.MOST_RECENT", 100)
+    statistics = ChannelStatistics("CAMERA")
+    for number in range(500):
+        statistics.add(b"", 0.001 * number)
+    assert statistics.rate(0.499) == pytest.approx(100 / 0.099)
+
+
+@pytest.mark.parametrize(("length", "shown"), [(8, "1 1 1 1 1 1 1 1]"), (9, "1 1 1 1 1 1 1 1 …]")])
+def test_long_array_is_cut(length: int, shown: str) -> None:
+    assert _short([1.0] * length) == f"[{shown}"
+
+
+def test_single_gap_has_no_jitter_and_no_gap_no_rate() -> None:
+    statistics = ChannelStatistics("CAMERA")
+    statistics.add(b"", 5.0)
+    assert (statistics.mean_rate, statistics.jitter) == (0.0, 0.0)
+    statistics.add(b"", 5.5)
+    assert (statistics.mean_rate, statistics.jitter) == (2.0, 0.0)
+    statistics.pause()
+    statistics.add(b"", 9.0)
+    assert (statistics.mean_rate, statistics.jitter, statistics.count) == (2.0, 0.0, 3)
+
+
+def test_silent_channel_is_dim_after_a_second() -> None:
+    statistics = BusStatistics()
+    statistics.add("PLAN", plan_t().encode(), 10.0)
+    for age, style in ((1.0, ""), (1.1, "dim")):
+        table = live_table(statistics, "url", 10.0 + age, WIDE)
+        assert table.rows[-1].style == style
+        assert len(table.columns) == 8
+        assert len(live_table(statistics, "url", 10.0 + age, WIDE - 1).columns) == 7
 
 
 def test_jitter_is_the_spread_of_the_gaps() -> None:

@@ -9,7 +9,7 @@ from command_line import Run
 from recorded_trials import METHOD, Recorded, write_events
 
 from imolo.campaigns.figures import COLORS
-from imolo.inspect.diff import compare_logs, compare_runs
+from imolo.inspect.diff import _compare_values, _Parting, compare_logs, compare_runs
 from imolo.inspect.divergence import FLOOR, PANELS, difference_over_time, draw_divergence
 from imolo.inspect.fields import parse_selector
 from imolo.inspect.series import Series, read_series
@@ -45,16 +45,25 @@ def test_figure_of_identical_runs_says_so(recorded: Recorded, run: Run) -> None:
         assert not any(line.get_ydata().any() for line in axes.lines)
 
 
-def test_numbers_that_are_written_differently_differ() -> None:
-    """-0.0 equals 0.0 and NaN does not equal NaN, but it is their bytes that are compared."""
+def test_infinite_difference_is_the_largest_and_nan_is_itself() -> None:
     message, other = valve_pressure_t(), valve_pressure_t()
-    message.pressure = [0.0, float("nan"), *[0.0] * 6]
-    other.pressure = [-0.0, float("nan"), *[0.0] * 5, float("inf")]
+    message.pressure = [float("nan"), 1.0, 2.0, *[0.0] * 5]
+    other.pressure = [float("nan"), 1.5, 2.0, *[0.0] * 4, float("inf")]
     one, two = (LogEvent(0, 7, "VALVE_PRESSURE", each.encode(), 0) for each in (message, other))
     (channel,) = compare_runs([one], [two]).channels
     assert channel.first is not None
-    assert (channel.first.field, channel.first.values) == ("pressure[0]", (0.0, -0.0))
+    assert (channel.first.field, channel.first.values) == ("pressure[1]", (1.0, 1.5))
     assert (channel.largest, channel.largest_field) == (float("inf"), "pressure[7]")
+
+
+def test_messages_with_other_bytes_and_the_same_numbers_differ() -> None:
+    zero, other = valve_pressure_t(), valve_pressure_t()
+    other.pressure = [-0.0] * 8
+    for one, two in ((zero.encode(), other.encode()), (zero.encode(), zero.encode() + b"x")):
+        (channel,) = compare_runs(*([LogEvent(0, 7, "VALVE_PRESSURE", data, 0)] for data in (one, two))).channels
+        assert channel.equal == 0
+        assert channel.first is not None
+        assert (channel.first.field, channel.first.values) == ("bytes", (one.hex(), two.hex()))
 
 
 def test_element_that_only_one_message_has_is_named() -> None:
@@ -68,10 +77,12 @@ def test_element_that_only_one_message_has_is_named() -> None:
     assert (found.field, found.values) == ("num_markers", (0, 1))
 
 
-def test_bytes_after_a_message_are_told() -> None:
-    data = valve_pressure_t().encode()
-    runs = ([LogEvent(0, 7, "VALVE_PRESSURE", data + tail, 0)] for tail in (b"", b"x"))
-    assert "bytes after the last field" in str(compare_runs(*runs).first)
+def test_array_that_is_longer_in_one_message_has_its_first_new_element_named() -> None:
+    short, long = [[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    for one, other, values in ((short, long, (None, 4.0)), (long, short, (4.0, None))):
+        parting = _Parting()
+        _compare_values(one, other, ("predicted_position",), parting)
+        assert parting.first == (("predicted_position", 1, 0), *values)
 
 
 def test_long_messages_of_others_are_compared_and_shown_where_they_part(tmp_path: Path) -> None:
