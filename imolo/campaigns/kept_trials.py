@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imolo.campaigns.results import installed_versions
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.backend import EventName
+from imolo.contracts.trial import EventName
 from imolo.contracts.provenance import digest_of_packages, provenance
 from imolo.contracts.registry import BACKENDS, PLANNERS, ROBOTS, TASKS
 from imolo.errors import BusError, ResultsError

@@ -5,13 +5,14 @@ import sys
 import warnings
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
+from io import TextIOWrapper
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
 from imolo.campaigns import commands as campaign_commands
-from imolo.command_line.terminal import complain, console
+from imolo.command_line.terminal import INTERRUPTED, complain, console
 from imolo.conformance import commands as conformance_commands
 from imolo.errors import ImoloError
 from imolo.inspect import commands as inspect_commands
@@ -79,6 +80,10 @@ def _plugins(registry: "Registry[Any]") -> Table:
 
 def main() -> None:
     """Run the command line; every error of ours ends in one line."""
+    for stream in (sys.stdout, sys.stderr):
+        # What a terminal's alphabet does not have is written as its number.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     # joblib replaces a process that has grown; its tasks are run all the same.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
@@ -87,6 +92,8 @@ def main() -> None:
     except ImoloError as error:
         complain(str(error))
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -12,14 +12,19 @@ console = Console()
 errors = Console(stderr=True)
 
 
+def plain(text: str) -> str:
+    """Return text from elsewhere with its control characters made visible, so that a terminal does not obey them."""
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+
+
 def say(text: str) -> None:
     """Print a line as it is, unbroken however narrow the terminal."""
-    console.print(text, highlight=False, markup=False, soft_wrap=True)
+    console.print(plain(text), highlight=False, markup=False, soft_wrap=True)
 
 
 def complain(text: str) -> None:
     """Print one line about what is wrong to the standard error stream."""
-    errors.print(f"imolo: {text}", highlight=False, markup=False, soft_wrap=True)
+    errors.print(f"imolo: {plain(text)}", highlight=False, markup=False, soft_wrap=True)
 
 
 class ProgressBars:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imolo.command_line.terminal import INTERRUPTED, console, say
+from imolo.command_line.terminal import INTERRUPTED, console, plain, say
 from imolo.errors import ConfigError, did_you_mean
 from imolo.messaging.udpm import LOCAL_URL
 
@@ -19,6 +19,9 @@ DIFFERENT = 1  # exit code where two runs are not the same, as of diff
 OneLog = Annotated[Path, typer.Argument(metavar="LOG", help="A .lcmlog.")]
 MaybeLog = Annotated[Path | None, typer.Argument(metavar="[LOG]", help="A .lcmlog to look at in place of a bus.")]
 Url = Annotated[str, typer.Option(help="LCM URL of the bus.")]
+OneTrial = Annotated[
+    int | None, typer.Option("--trial", min=0, help="One trial of the log, from 0.", show_default="all, in turn")
+]
 
 
 @app.command()
@@ -38,12 +41,13 @@ def top(
     log: MaybeLog = None,
     url: Url = LOCAL_URL,
     seconds: Annotated[float | None, typer.Option(help="End after this long.", show_default="Ctrl-C")] = None,
+    trial: OneTrial = None,
 ) -> None:
     """Show the channels with rate, age, jitter, missing messages and last values."""
     from imolo.inspect.top import log_table, watch
 
     if log is not None:
-        console.print(log_table(log, console.width))
+        console.print(log_table(log, console.width, trial))
         return
     try:
         watch(url, console, seconds)
@@ -80,6 +84,9 @@ def diff(
     first: OneLog,
     second: OneLog,
     out: Annotated[Path | None, typer.Option(help="Draw how they go apart to this file.")] = None,
+    trial: Annotated[
+        list[int] | None, typer.Option(min=0, help="Trial of both logs, from 0; twice for one of each.")
+    ] = None,
 ) -> None:
     """Say where two runs part: first message, field and time, then channel by channel.
 
@@ -87,20 +94,20 @@ def diff(
     """
     from imolo.inspect.diff import compare_logs
 
-    result = compare_logs(first, second)
+    trials = (trial[0], trial[-1]) if trial else (None, None)
+    result = compare_logs(first, second, trials)
     _print_channels(result, "first", "second")
     if result.first is not None:
         say(f"they part at {result.first}")
     elif not result.same_recording:
         console.print("the messages are the same, but not their order or the times at which they were recorded")
     else:
-        console.print("the runs are the same")
+        console.print("the runs are the same: they are identical, byte by byte")
     if out is not None:
         from imolo.inspect.divergence import draw_divergence
         from imolo.inspect.plot import save_figure
-        from imolo.messaging.log import read_log
 
-        save_figure(draw_divergence(read_log(first), read_log(second), result.first), out)
+        save_figure(draw_divergence(first, second, result.first, trials), out)
         say(f"the figure is {out}")
     if result.first is not None or not result.same_recording:
         raise typer.Exit(DIFFERENT)
@@ -113,16 +120,16 @@ def export(
     out: Annotated[
         Path | None, typer.Option(help="File (mcap) or folder (csv, parquet).", show_default="beside the log")
     ] = None,
+    trial: OneTrial = None,
 ) -> None:
     """Turn a log into MCAP, or into a CSV or Parquet table for each channel."""
     from imolo.inspect.export import ExportFormat
     from imolo.inspect.export import export as write
-    from imolo.messaging.log import read_log
 
     known = [each.value for each in ExportFormat]
     if to not in known:
         raise ConfigError(f"unknown format {to!r}{did_you_mean(to, known)}; known: {', '.join(known)}")
-    for path in write(read_log(log), ExportFormat(to), out):
+    for path in write(log, ExportFormat(to), out, trial):
         say(str(path))
 
 
@@ -134,14 +141,14 @@ def plot(
     ],
     others: Annotated[list[Path] | None, typer.Option("--log", help="A log to draw over it; any number.")] = None,
     out: Annotated[Path | None, typer.Option(help="File to write.", show_default="a window")] = None,
+    trial: OneTrial = None,
 ) -> None:
     """Plot fields of a log over time: CHANNEL.field, with [index] or [from:to] for arrays."""
     from imolo.inspect.fields import parse_selector
     from imolo.inspect.plot import draw_fields, save_figure, show_figure
-    from imolo.messaging.log import read_log
 
     selectors = [parse_selector(field) for field in fields]
-    figure = draw_fields([read_log(path) for path in (log, *(others or []))], selectors)
+    figure = draw_fields([log, *(others or [])], selectors, trial)
     if out is None:
         show_figure(figure)
     else:
@@ -161,10 +168,12 @@ def view(
     robot: Annotated[
         str | None, typer.Option(help="Robot of a running session [default: that of the default config].")
     ] = None,
+    trial: OneTrial = None,
 ) -> None:
     """Show sessions in the browser: logs, or without any the session that runs on a bus."""
+    from contextlib import ExitStack
+
     from imolo.machine.extras import import_extra
-    from imolo.messaging.log import read_log
 
     import_extra("viser", "view")
     import_extra("yourdfpy", "view")
@@ -182,18 +191,22 @@ def view(
         if not logs:
             viewer.serve_live(url, port, robot or default_robot(), tell)
             return
-        sessions = recorded_sessions([read_log(log) for log in logs], short_names(logs))
-        if html is None:
-            viewer.serve(sessions, port, speed, tell)
-        else:
-            viewer.write_html(sessions, html, speed)
-            say(f"the view is {html}")
+        with ExitStack() as stack:
+            sessions = recorded_sessions(logs, short_names(logs), trial)
+            for session in sessions:
+                stack.callback(session.close)
+            if html is None:
+                viewer.serve(sessions, port, speed, tell)
+            else:
+                viewer.write_html(sessions, html, speed)
+                say(f"the view is {html}")
     except KeyboardInterrupt:
         raise typer.Exit(INTERRUPTED) from None
 
 
 def _print_channels(result: "RunComparison", first: str, second: str) -> None:
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, padding=0)
@@ -205,5 +218,5 @@ def _print_channels(result: "RunComparison", first: str, second: str) -> None:
         parting = "-" if channel.first is None else f"{channel.first.utime * 1e-6:.6f}"
         largest = f"{channel.largest_field} {channel.largest:.4g}" if channel.largest_field else "-"
         counts = [str(count) for count in (*channel.counts, channel.equal)]
-        table.add_row(channel.channel, *counts, parting, largest)
+        table.add_row(escape(plain(channel.channel)), *counts, parting, escape(largest))
     console.print(table)

@@ -1,16 +1,22 @@
 """Where two runs part: the first message, the first field, and how far each channel has gone apart."""
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from itertools import zip_longest
+from math import inf, isfinite
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from imolo.inspect.fields import Value, flatten
+from imolo.inspect.fields import Path as LeafPath
+from imolo.inspect.fields import Value, leaf_name, leaves
+from imolo.inspect.trials import TrialEvents
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import decode, warn_of_damage
-from imolo.messaging.log_file import LogEvent, read_events
+from imolo.messaging.log import decode
+from imolo.messaging.log_file import LogEvent, LogReader
+
+SHOWN = 16  # [bytes] of a message that is not ours
 
 
 @dataclass(frozen=True)
@@ -75,76 +81,165 @@ class RunComparison:
     same_recording: bool
 
 
-def compare_logs(first: Path, second: Path) -> RunComparison:
+def compare_logs(first: Path, second: Path, trials: tuple[int | None, int | None] = (None, None)) -> RunComparison:
     """Compare two logs message by message.
 
+    Args:
+        first: Path of a log.
+        second: Path of the other one.
+        trials: Which trial of each, from 0; None where a log holds one alone.
+
     Raises:
-        BusError: One of them is missing or no log.
+        BusError: One of them is missing or no log, has no such trial, or has several and none is chosen.
     """
-    runs = []
-    for path in (first, second):
-        events, damage = read_events(path)
-        warn_of_damage(path, damage)
-        runs.append(events)
-    return compare_runs(*runs)
+    with LogReader(first, CHANNELS) as one, LogReader(second, CHANNELS) as other:
+        runs = [_Run(one), _Run(other)]
+        for run, reader, trial in zip(runs, (one, other), trials, strict=True):
+            events = TrialEvents(reader, trial, only_one=True)
+            for event in events:
+                if trial is not None and not run.places:
+                    run.zero = events.offset - reader.shift
+                run.add(event)
+        return _compare(*runs)
 
 
 def compare_runs(first: Sequence[LogEvent], second: Sequence[LogEvent]) -> RunComparison:
-    """Compare two sequences of events, channel by channel, so that it does not matter how channels interleave."""
-    names = dict.fromkeys(event.channel for run in (first, second) for event in run)
-    ordered = sorted(names, key=lambda name: list(CHANNELS).index(name) if name in CHANNELS else len(CHANNELS))
-    compared = tuple(
-        _compare_channel(name, *([event for event in run if event.channel == name] for run in (first, second)))
-        for name in ordered
-    )
+    """Compare two sequences of events."""
+    runs = [_Run(), _Run()]
+    for run, events in zip(runs, (first, second), strict=True):
+        for event in events:
+            run.add(event)
+    return _compare(*runs)
+
+
+class _Run:
+    """The events of a run by channel; of those of a log only their places are kept.
+
+    Attributes:
+        places: Where the events are: their offsets in the log, or they themselves.
+        zero: Subtracted from all times, so that a trial of a session is on its own clock [µs].
+    """
+
+    def __init__(self, reader: LogReader | None = None) -> None:
+        self._reader = reader
+        self.places: dict[str, Any] = {}
+        self.zero = 0
+        self._order = blake2b()
+
+    def add(self, event: LogEvent) -> None:
+        if event.channel not in self.places:
+            self.places[event.channel] = [] if self._reader is None else array("q")
+        self.places[event.channel].append(event if self._reader is None else event.offset)
+        self._order.update(f"{event.utime - self.zero} {event.channel}\n".encode(errors="surrogatepass"))
+
+    @property
+    def order(self) -> bytes:
+        """A digest of the channels and times of all events."""
+        return self._order.digest()
+
+    def count(self, channel: str) -> int:
+        return len(self.places.get(channel, ()))
+
+    def events(self, channel: str) -> Iterator[LogEvent]:
+        for place in self.places.get(channel, ()):
+            event = place if self._reader is None else self._reader.event(place)
+            yield event._replace(utime=event.utime - self.zero) if self.zero else event
+
+    def pieces(self, event: LogEvent) -> Iterator[bytes]:
+        return iter([event.data]) if self._reader is None else self._reader.chunks(event)
+
+
+def _compare(first: _Run, second: _Run) -> RunComparison:
+    names = [*first.places, *second.places]
+    ordered = dict.fromkeys([*(name for name in CHANNELS if name in names), *names])
+    compared = tuple(_compare_channel(name, first, second) for name in ordered)
     differences = [channel.first for channel in compared if channel.first is not None]
-    same = [event[1:4] for event in first] == [event[1:4] for event in second]
+    same = not differences and first.order == second.order
     return RunComparison(compared, min(differences, key=lambda found: found.utime, default=None), same)
 
 
-def _compare_channel(name: str, first: Sequence[LogEvent], second: Sequence[LogEvent]) -> ChannelComparison:
+@dataclass
+class _Parting:
+    """What is different in the messages of one channel, as they are compared.
+
+    Attributes:
+        first: Path and values of the first difference.
+        largest: Largest difference of a real number.
+        largest_path: Where that is.
+    """
+
+    first: tuple[LeafPath, Value | None, Value | None] | None = None
+    largest: float = 0.0
+    largest_path: LeafPath = ()
+
+    def note(self, path: LeafPath, one: Value | None, other: Value | None) -> None:
+        if self.first is None:
+            self.first = path, one, other
+        # Integers are times, counters and names; how far they are apart says nothing beside metres and pascals.
+        if isinstance(one, float) and isinstance(other, float):
+            gap = abs(one - other)
+            gap = gap if isfinite(gap) else inf
+            if gap > self.largest:
+                self.largest, self.largest_path = gap, path
+
+
+def _compare_channel(name: str, first: _Run, second: _Run) -> ChannelComparison:
+    parting = _Parting()
     difference: Difference | None = None
-    largest, largest_field, equal = 0.0, "", 0
-    for index, (one, other) in enumerate(zip_longest(first, second)):
-        if one is not None and other is not None and one.data == other.data:
+    equal = 0
+    for index, (one, other) in enumerate(zip_longest(first.events(name), second.events(name))):
+        if one is None or other is None:
+            numbers = (one and one.number, other and other.number)
+            difference = difference or Difference(name, index, (one or other).utime, "", numbers)
+            break
+        if one.data and one.data == other.data:
             equal += 1
             continue
-        if one is None or other is None:
-            event = one or other
-            found = Difference(name, index, event.utime, "", (one and one.number, other and other.number))
-            difference = difference or found
-            break
-        fields, other_fields = _fields(one), _fields(other)
+        messages = [decode(name, event.data) if name in CHANNELS else None for event in (one, other)]
+        if None not in messages:
+            _compare_values(messages[0], messages[1], (), parting)
+        elif (place := _first_unequal_byte(first.pieces(one), second.pieces(other))) is not None:
+            at, *there = place
+            parting.note((f"bytes from {at}" if at else "bytes",), there[0].hex(), there[1].hex())
+        else:
+            equal += 1
+            continue
         if difference is None:
-            difference = _first_field(name, index, one.utime, fields, other_fields)
-        for field, value in fields.items():
-            gap = _gap(value, other_fields.get(field))
-            if gap > largest:
-                largest, largest_field = gap, field
-    return ChannelComparison(name, (len(first), len(second)), difference, equal, largest, largest_field)
+            # The bytes differ where no number does: -0.0 is 0.0, or something follows the message.
+            path, *values = parting.first or (("bytes",), one.data.hex(), other.data.hex())
+            difference = Difference(name, index, one.utime, leaf_name(name, path), (values[0], values[1]))
+    counts = first.count(name), second.count(name)
+    return ChannelComparison(name, counts, difference, equal, parting.largest, leaf_name(name, parting.largest_path))
 
 
-def _fields(event: LogEvent) -> dict[str, Value]:
-    """Return the fields of an event; a message that is not ours or is damaged is one field."""
-    message = decode(event.channel, event.data) if event.channel in CHANNELS else None
-    return {"bytes": event.data.hex()} if message is None else dict(flatten(message))
+def _first_unequal_byte(first: Iterator[bytes], second: Iterator[bytes]) -> tuple[int, bytes, bytes] | None:
+    """Return the place where data part, and what they hold from there on; None if they are the same."""
+    start = 0
+    for one, other in zip_longest(first, second, fillvalue=b""):
+        if one != other:
+            pairs = enumerate(zip(one, other, strict=False))
+            inside = next((place for place, (a, b) in pairs if a != b), min(len(one), len(other)))
+            return start + inside, one[inside : inside + SHOWN], other[inside : inside + SHOWN]
+        start += len(one)
+    return None
 
 
-def _first_field(name: str, index: int, utime: int, fields: dict[str, Value], other: dict[str, Value]) -> Difference:
-    for field in dict.fromkeys([*fields, *other]):
-        if not _same(fields.get(field), other.get(field)):
-            return Difference(name, index, utime, field, (fields.get(field), other.get(field)))
-    # The bytes differ where no field does: something follows the message.
-    return Difference(name, index, utime, "bytes after the last field", (None, None))
-
-
-def _same(one: Value | None, other: Value | None) -> bool:
-    return repr(one) == repr(other)
-
-
-def _gap(one: Value, other: Value | None) -> float:
-    # Integers are times, counters and names; how far they are apart says nothing beside metres and pascals.
-    if not isinstance(one, float) or not isinstance(other, float):
-        return 0.0
-    gap = abs(one - other)
-    return gap if np.isfinite(gap) else (0.0 if _same(one, other) else float("inf"))
+def _compare_values(one: Any, other: Any, path: LeafPath, found: _Parting) -> None:
+    """Note every leaf of two values of the same type in which they differ."""
+    if one == other:
+        return
+    if hasattr(one, "__slots__"):
+        for name in one.__slots__:
+            _compare_values(getattr(one, name), getattr(other, name), (*path, name), found)
+    elif isinstance(one, list | tuple):
+        for index, (element, its_other) in enumerate(zip(one, other, strict=False)):
+            # Most of the time is spent here, on numbers that are neither the first to differ nor farthest apart.
+            if type(element) is float and found.first is not None and abs(element - its_other) <= found.largest:
+                continue
+            _compare_values(element, its_other, (*path, index), found)
+        if len(one) != len(other):
+            shorter = min(len(one), len(other))
+            there, value = next(leaves(max(one, other, key=len)[shorter], (*path, shorter)))
+            found.note(there, *((value, None) if len(one) > shorter else (None, value)))
+    elif repr(one) != repr(other):  # so that NaN is NaN
+        found.note(path, one, other)

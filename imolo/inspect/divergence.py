@@ -1,82 +1,121 @@
 """How two runs go apart over time: joint angles, hand, ball and pressures."""
 
+from pathlib import Path
+from typing import NamedTuple
+
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from imolo.campaigns.figures import COLORS, STYLE
+from imolo.command_line.terminal import plain
 from imolo.errors import FieldError
 from imolo.inspect.diff import Difference
-from imolo.inspect.fields import parse_selector, series
+from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import short_names
-from imolo.messaging.log import Log
+from imolo.inspect.series import Series, read_series, samples
 
-Array = NDArray[np.float64]
 
-# Title, field, factor to the unit shown, unit, whether the length of the difference is drawn in place of its elements.
+class Panel(NamedTuple):
+    """One of the axes; `length` says whether the length of the difference is drawn in place of its elements."""
+
+    title: str
+    field: str
+    factor: float  # to the unit shown
+    unit: str
+    length: bool
+
+
 PANELS = (
-    ("joint angles", "TRUTH_ROBOT.joint_angle", float(np.degrees(1.0)), "°", False),
-    ("right hand", "TRUTH_ROBOT.effector_position[0]", 1e3, "mm", True),
-    ("ball", "TRUTH_BALL.true_ball_position", 1e3, "mm", True),
-    ("pressures", "ACTUATOR_STATE.measured", 1e-3, "kPa", False),
+    Panel("joint angles", "TRUTH_ROBOT.joint_angle", float(np.degrees(1.0)), "°", False),
+    Panel("right hand", "TRUTH_ROBOT.effector_position[0]", 1e3, "mm", True),
+    Panel("ball", "TRUTH_BALL.true_ball_position", 1e3, "mm", True),
+    Panel("pressures", "ACTUATOR_STATE.measured", 1e-3, "kPa", False),
 )
+FAINT = "#9A9A9A"
 FLOOR = 1e-6  # smallest difference drawn, in the units shown
 
 
-def draw_divergence(first: Log, second: Log, parting: Difference | None) -> Figure:
-    """Draw what lies between two runs on logarithmic axes, with the moment at which they part.
+def draw_divergence(
+    first: Path, second: Path, parting: Difference | None, trials: tuple[int | None, int | None] = (None, None)
+) -> Figure:
+    """Draw what lies between two runs that were compared before, with the moment at which they part.
+
+    Args:
+        first: Path of a log.
+        second: Path of the other one.
+        parting: Their first difference; None where they are identical.
+        trials: Which trial of each, from 0; None where a log holds one alone.
 
     Raises:
+        BusError: A log cannot be read, or has no such trial.
         FieldError: The runs have no time or none of the channels in common.
     """
+    selectors = [parse_selector(panel.field) for panel in PANELS]
+    runs = [
+        read_series(path, selectors, trial, only_one=True, required=False, thin=samples, quiet=True)
+        for path, trial in zip((first, second), trials, strict=True)
+    ]
+    gaps = [difference_over_time(one, other) for one, other in zip(*runs, strict=True)]
+    if all(gap is None for gap in gaps):
+        raise FieldError(f"{first} and {second} have no simulated state and no pressures to compare")
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 8), layout="constrained")
-        drawn = 0
-        for axes, (title, field, factor, unit, length) in zip(
-            figure.subplots(len(PANELS), 1, sharex=True), PANELS, strict=True
-        ):
-            axes.set_title(title, loc="left")
-            axes.set_ylabel(f"difference [{unit}]")
-            gap = difference_over_time(first, second, field)
-            if gap is None:
-                axes.text(0.5, 0.5, "not in both logs", transform=axes.transAxes, ha="center", color="#9A9A9A")
-                continue
-            drawn += 1
-            time, values = gap
-            values = np.linalg.norm(values, axis=1, keepdims=True) if length else np.abs(values)
-            for column in range(values.shape[1]):
-                label = f"[{column}]" if not length else ""
-                dashes = "-" if column < len(COLORS) else "--"
-                shown = np.where(factor * values[:, column] >= FLOOR, factor * values[:, column], np.nan)
-                axes.plot(time, shown, dashes, color=COLORS[column % len(COLORS)], label=label, linewidth=1.0)
-            axes.set_xlim(time[0], time[-1])
-            axes.set_yscale("log")
-            if not length:
-                axes.legend(ncols=2, fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-            if parting is not None:
-                axes.axvline(parting.utime * 1e-6, color="#9A9A9A", linewidth=0.8)
+        for axes, panel, gap in zip(figure.subplots(len(PANELS), 1, sharex=True), PANELS, gaps, strict=True):
+            _draw_gap(axes, panel, gap)
+            if gap is not None and parting is not None:
+                axes.axvline(parting.utime * 1e-6, color=FAINT, linewidth=0.8)
         axes.set_xlabel("time [s]")
-        if drawn == 0:
-            raise FieldError(f"{first.path} and {second.path} have no simulated state and no pressures to compare")
-        names = short_names([first.path, second.path])
-        where = "" if parting is None else f"\nthey part at {parting}"
-        figure.suptitle(f"{names[0]} against {names[1]}{where}", fontsize="medium")
+        names = short_names([first, second])
+        where = "they are identical" if parting is None else f"they part at {parting}"
+        figure.suptitle(
+            plain(f"{names[0]} against {names[1]}") + f"\n{plain(where)}", fontsize="medium", parse_math=False
+        )
     return figure
 
 
-def difference_over_time(first: Log, second: Log, field: str) -> tuple[Array, Array] | None:
-    """Return time [s], shape (N,), and second minus first at those times, shape (N, K), where both have the field.
+def _draw_gap(axes: Axes, panel: Panel, gap: Series | None) -> None:
+    axes.set_title(panel.title, loc="left")
+    axes.set_ylabel(f"difference [{panel.unit}]")
+    if gap is None:
+        axes.text(0.5, 0.5, "not in both logs", transform=axes.transAxes, ha="center", color=FAINT)
+        return
+    values = panel.factor * (np.linalg.norm(gap.values, axis=1, keepdims=True) if panel.length else np.abs(gap.values))
+    shown = values[np.isfinite(values) & (values >= FLOOR)]
+    # A logarithm says nothing of zeros, and little within a decade.
+    logarithmic = len(shown) > 0 and shown.max() > 10.0 * shown.min()
+    for column in range(values.shape[1]):
+        axes.plot(
+            gap.time,
+            np.where(values[:, column] >= FLOOR, values[:, column], np.nan) if logarithmic else values[:, column],
+            "-" if column < len(COLORS) else "--",
+            color=COLORS[column % len(COLORS)],
+            label="" if panel.length else gap.labels[column].removeprefix(panel.field),
+            linewidth=1.0,
+        )
+    if gap.time[-1] > gap.time[0]:
+        axes.set_xlim(gap.time[0], gap.time[-1])
+    axes.set_yscale("log" if logarithmic else "linear")
+    if not panel.length:
+        axes.legend(ncols=2, fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def difference_over_time(first: Series, second: Series) -> Series | None:
+    """Return second minus first over the time and in the elements that both have; None where there is none.
 
     The second run is interpolated at the times of the first one.
     """
-    selector = parse_selector(field)
-    if not first.messages[selector.channel] or not second.messages[selector.channel]:
+    labels = tuple(label for label in first.labels if label in second.labels)
+    if not labels or not len(first.time) or not len(second.time):
         return None
-    one, other = series(first, selector), series(second, selector)
-    common = (one.time >= other.time[0]) & (one.time <= other.time[-1])
+    common = (first.time >= second.time[0]) & (first.time <= second.time[-1])
     if not common.any():
         return None
-    time = one.time[common]
-    moved = np.column_stack([np.interp(time, other.time, column) for column in other.values.T])
-    return time, moved - one.values[common]
+    time = first.time[common]
+    gaps = [
+        np.interp(time, second.time, second.values[:, second.labels.index(label)])
+        - first.values[common, first.labels.index(label)]
+        for label in labels
+    ]
+    return Series(time, np.column_stack(gaps), labels)

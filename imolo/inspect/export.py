@@ -1,17 +1,32 @@
 """Logs as tables: CSV or Parquet, one file per channel, flat named columns."""
 
 import csv
-from collections.abc import Callable
+import os
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import islice
 from pathlib import Path
 
 from imolo.errors import ResultsError
-from imolo.inspect.fields import Value, columns
+from imolo.inspect.fields import Path as LeafPath
+from imolo.inspect.fields import Value, column_name, leaves
+from imolo.inspect.plot import log_name
+from imolo.inspect.trials import Heard, Timeline, TrialEvents
 from imolo.machine.extras import import_extra
-from imolo.messaging.log import Log
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import decode
+from imolo.messaging.log_file import LogReader
 
 RECORDED = "recorded_utime"  # column of the time at which a message was recorded [µs]
-Columns = dict[str, list[Value | None]]
+TRIAL_IN_LOG = "trial_in_log"  # column of a log of several trials: which of them, from 0
+SOURCE = "exported_from.txt"  # beside the tables: the log they were made of
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would take a text that begins so for a formula
+BATCH = 10_000  # rows written at once
+
+Rows = Iterator[list[Value | None]]
 
 
 class ExportFormat(StrEnum):
@@ -22,53 +37,143 @@ class ExportFormat(StrEnum):
     PARQUET = "parquet"
 
 
-def export(log: Log, to: ExportFormat, out: Path | None) -> list[Path]:
-    """Write a log in another format and return the files.
+def export(log: Path, to: ExportFormat, out: Path | None, trial: int | None = None) -> list[Path]:
+    """Write a log in another format and return the files; an earlier export of the same log is replaced.
 
     Args:
-        log: The log.
+        log: Path of the log.
         to: Which format.
         out: File for MCAP, folder for the tables; beside the log by default.
+        trial: Which trial, from 0; None for all of them.
 
     Raises:
+        BusError: The log cannot be read, or has no such trial.
         MissingToolError: The packages of the extra `export` are not installed.
-        ResultsError: The files cannot be written.
+        ResultsError: The files cannot be written, or are there and not an export of this log.
     """
+    name = log_name(log) if trial is None else f"{log_name(log)}_trial_{trial}"
+    source = str(log.resolve()) if trial is None else f"{log.resolve()} trial {trial}"
     try:
         if to is ExportFormat.MCAP:
-            from imolo.inspect.mcap_export import write_mcap
+            from imolo.inspect.mcap_export import source_of, write_mcap
 
-            path = out if out is not None else log.path.with_suffix(".mcap")
+            path = out if out is not None else log.with_name(f"{name}.mcap")
+            if path.exists():
+                _require_same(path, source_of(path), source)
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_mcap(log, path)
+            with LogReader(log, CHANNELS) as reader, _all_or_nothing() as part_of:
+                write_mcap(TrialEvents(reader, trial), part_of(path), source)
             return [path]
-        write = _write_csv if to is ExportFormat.CSV else _parquet_writer()
-        folder = out if out is not None else log.path.with_name(f"{log.path.stem}_{to.value}")
-        folder.mkdir(parents=True, exist_ok=True)
-        return [
-            _write_table(log, name, folder / f"{name}.{to.value}", write) for name in log.messages if log.messages[name]
-        ]
+        folder = out if out is not None else log.with_name(f"{name}_{to.value}")
+        with LogReader(log, CHANNELS) as reader:
+            return _write_tables(TrialEvents(reader, trial), folder, to, source)
     except OSError as error:
-        raise ResultsError(f"cannot write the export of {log.path}: {error}; choose another --out") from error
+        raise ResultsError(f"cannot write the export of {log}: {error}; choose another --out") from error
 
 
-def _write_table(log: Log, name: str, path: Path, write: Callable[[Path, Columns], None]) -> Path:
-    write(path, {RECORDED: list(log.received[name]), **columns(log.messages[name])})
-    return path
+@contextmanager
+def _all_or_nothing() -> Iterator[Callable[[Path], Path]]:
+    """Give names for files under way, which take their places together at the end, or vanish."""
+    parts: dict[Path, Path] = {}
+
+    def part_of(path: Path) -> Path:
+        return parts.setdefault(path, path.with_name(f".{path.name}.{os.getpid()}.part"))
+
+    try:
+        yield part_of
+        for path, part in parts.items():
+            part.replace(path)
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
 
 
-def _write_csv(path: Path, table: Columns) -> None:
+def _require_same(path: Path, found: str | None, source: str) -> None:
+    if found != source:
+        what = "is there and was not exported from a log" if found is None else f"is the export of {found}"
+        raise ResultsError(f"{path} {what}; choose another --out, or delete it")
+
+
+@dataclass
+class _Table:
+    """One channel: where its messages are, and what its columns are called.
+
+    Attributes:
+        places: Trial, time of the recording [µs] and offset in the log of one message after the other.
+        longest: Leaves of the message that has most of them; they come first, in the order of the type.
+        kinds: Python type of every leaf.
+    """
+
+    places: "array[int]" = field(default_factory=lambda: array("q"))
+    longest: list[LeafPath] = field(default_factory=list)
+    kinds: dict[LeafPath, type] = field(default_factory=dict)
+
+    def add(self, heard: Heard) -> None:
+        """Take note of a message."""
+        self.places.extend((heard.trial, heard.event.utime, heard.event.offset))
+        found = dict(leaves(heard.message))
+        if len(found) > len(self.longest):
+            self.longest = list(found)
+        if not found.keys() <= self.kinds.keys():
+            self.kinds |= {path: type(value) for path, value in found.items()}
+
+    @property
+    def leaves(self) -> list[LeafPath]:
+        """What every message has, in the order of the columns."""
+        return list(dict.fromkeys([*self.longest, *self.kinds]))
+
+    def rows(self, channel: str, reader: LogReader, of_session: bool) -> Rows:
+        """Yield the rows; None where a message is shorter than the columns."""
+        paths = self.leaves
+        for start in range(0, len(self.places), 3):
+            trial, recorded, offset = self.places[start : start + 3]
+            found = dict(leaves(decode(channel, reader.event(offset).data)))
+            yield [*([trial] if of_session else []), recorded, *map(found.get, paths)]
+
+
+def _write_tables(events: TrialEvents, folder: Path, to: ExportFormat, source: str) -> list[Path]:
+    write = _write_csv if to is ExportFormat.CSV else _parquet_writer()
+    tables: dict[str, _Table] = {}
+    for heard in Timeline(events, CHANNELS):
+        tables.setdefault(heard.event.channel, _Table()).add(heard)
+    names = [name for name in CHANNELS if name in tables]
+    files = [folder / f"{name}.{to.value}" for name in names]
+    told = folder / SOURCE
+    if told.exists() or any(path.exists() for path in files):
+        _require_same(folder, told.read_text(encoding="utf-8").strip() if told.exists() else None, source)
+    folder.mkdir(parents=True, exist_ok=True)
+    of_session = events.count > 1 and events.trial is None
+    with _all_or_nothing() as part_of:
+        part_of(told).write_text(source + "\n", encoding="utf-8")
+        for name, path in zip(names, files, strict=True):
+            table = tables[name]
+            header: dict[str, type] = {**({TRIAL_IN_LOG: int} if of_session else {}), RECORDED: int}
+            header |= {column_name(leaf): table.kinds[leaf] for leaf in table.leaves}
+            write(part_of(path), header, table.rows(name, events.reader, of_session))
+    return files
+
+
+def _write_csv(path: Path, header: dict[str, type], rows: Rows) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(table)
+        writer.writerow(header)
         # repr, the default for floats, is the shortest text that reads back as the same number.
-        writer.writerows(zip(*table.values(), strict=True))
+        writer.writerows(map(_unlike_formulas, rows))
 
 
-def _parquet_writer() -> Callable[[Path, Columns], None]:
+def _unlike_formulas(row: list[Value | None]) -> list[Value | None]:
+    return [f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value for value in row]
+
+
+def _parquet_writer() -> Callable[[Path, dict[str, type], Rows], None]:
     pyarrow, parquet = import_extra("pyarrow", "export"), import_extra("pyarrow.parquet", "export")
+    kinds = {int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
 
-    def write(path: Path, table: Columns) -> None:
-        parquet.write_table(pyarrow.table(table), str(path))
+    def write(path: Path, header: dict[str, type], rows: Rows) -> None:
+        schema = pyarrow.schema([(name, kinds[kind]) for name, kind in header.items()])
+        with parquet.ParquetWriter(str(path), schema) as writer:
+            while batch := list(islice(rows, BATCH)):
+                columns = dict(zip(header, zip(*batch, strict=True), strict=True))
+                writer.write_table(pyarrow.table(columns, schema=schema))
 
     return write

@@ -1,49 +1,60 @@
-"""Fields of messages by name: whole messages as flat columns, and `CHANNEL.field[index]` as a series over time."""
+"""Fields of messages by name: every number in a message, and what `CHANNEL.field[index]` selects."""
 
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from imolo.errors import FieldError, did_you_mean
 from imolo.inspect.definitions import unit_of
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import Log
 
-Array = NDArray[np.float64]
 Value = int | float | str
+Path = tuple[str | int, ...]
 
 TOKEN = re.compile(r"\.(?P<name>\w+)|\[(?P<index>-?\d+)\]|\[(?P<slice>-?\d*:-?\d*)\]")
 
 
-def flatten(message: Any, prefix: str = "") -> Iterator[tuple[str, Value]]:
-    """Yield name and value of every number and text in a message; elements of arrays are called `name_0`, `name_1`."""
-    for name in message.__slots__:
-        yield from _flatten_value(getattr(message, name), prefix + name)
-
-
-def _flatten_value(value: Any, name: str) -> Iterator[tuple[str, Value]]:
-    if isinstance(value, list | tuple):
+def leaves(value: Any, path: Path = ()) -> Iterator[tuple[Path, Value]]:
+    """Yield every number and text in a message, with the names and indices that lead to it."""
+    if hasattr(value, "__slots__"):
+        for name in value.__slots__:
+            yield from leaves(getattr(value, name), (*path, name))
+    elif isinstance(value, list | tuple):
         for index, element in enumerate(value):
-            yield from _flatten_value(element, f"{name}_{index}")
-    elif hasattr(value, "__slots__"):
-        yield from flatten(value, f"{name}_")
+            yield from leaves(element, (*path, index))
     else:
-        yield name, value
+        yield path, value
 
 
-def columns(messages: Sequence[Any]) -> dict[str, list[Value | None]]:
-    """Return messages of one type as columns; a shorter array leaves None in the columns it does not reach."""
-    rows: list[dict[str, Value]] = [dict(flatten(message)) for message in messages]
-    # The longest message names the columns in the order of the type; a column that only others have comes at the end.
-    longest: dict[str, Value] = max(rows, key=len) if rows else {}
-    names = dict.fromkeys(longest)
-    for row in rows:
-        names.update(dict.fromkeys(row))
-    return {name: [row.get(name) for row in rows] for name in names}
+@lru_cache(maxsize=1 << 14)
+def column_name(path: Path) -> str:
+    """Return what a leaf is called in a table, such as `markers_0_marker_position_2`: the same for every robot."""
+    return "_".join(map(str, path))
+
+
+def label(channel: str, field: str, index: tuple[int, ...]) -> str:
+    """Return what follows the name of a field to tell which of its elements is meant.
+
+    Args:
+        channel: Of the message.
+        field: Name of the array, without the names of what it is nested in.
+        index: One number for each dimension of the array, from 0.
+    """
+    return "".join(f"[{number}]" for number in index)
+
+
+def leaf_name(channel: str, path: Path) -> str:
+    """Return what a leaf is called to people, such as `markers[0].marker_position[2]`."""
+    parts: list[str] = []
+    for is_index, steps in groupby(path, key=lambda step: isinstance(step, int)):
+        if is_index:
+            parts[-1] += label(channel, parts[-1], tuple(step for step in steps if isinstance(step, int)))
+        else:
+            parts.extend(str(step) for step in steps)
+    return ".".join(parts)
 
 
 @dataclass(frozen=True)
@@ -66,21 +77,6 @@ class Selector:
     def label(self) -> str:
         """The text with the unit."""
         return f"{self.text} [{self.unit}]" if self.unit else self.text
-
-
-@dataclass(frozen=True)
-class Series:
-    """Numbers over time.
-
-    Attributes:
-        time: Time of the messages [s], shape (N,).
-        values: Shape (N, K); NaN where a message has no such element.
-        labels: What each of the K columns is.
-    """
-
-    time: Array
-    values: Array
-    labels: tuple[str, ...]
 
 
 def parse_selector(text: str) -> Selector:
@@ -152,35 +148,20 @@ def _show(step: int | slice) -> str:
     return f"[{step}]" if isinstance(step, int) else f"[{step.start or ''}:{step.stop or ''}]"
 
 
-def series(log: Log, selector: Selector) -> Series:
-    """Return a field of a log over the time of its messages.
-
-    Raises:
-        FieldError: The channel is silent in the log.
-    """
-    messages = log.messages[selector.channel]
-    if not messages:
-        heard = [name for name, found in log.messages.items() if found]
-        raise FieldError(f"{log.path} has no {selector.channel}; it has {', '.join(heard) or 'no message of ours'}")
-    rows = [dict(_select(message, selector.steps, selector.channel)) for message in messages]
-    labels = tuple(dict.fromkeys(label for row in sorted(rows, key=len, reverse=True) for label in row))
-    values = np.array([[row.get(label, np.nan) for label in labels] for row in rows], dtype=np.float64)
-    return Series(np.array([message.utime for message in messages]) * 1e-6, values, labels)
+def selected(message: Any, steps: Sequence[str | int | slice]) -> Iterator[tuple[Path, Value]]:
+    """Yield what the steps of a selector lead to in a message; elements that it does not have are left out."""
+    return _selected(message, steps, ())
 
 
-def _select(value: Any, steps: Sequence[str | int | slice], label: str) -> Iterator[tuple[str, float]]:
+def _selected(value: Any, steps: Sequence[str | int | slice], path: Path) -> Iterator[tuple[Path, Value]]:
     if not steps:
-        if isinstance(value, list | tuple):
-            for index, element in enumerate(value):
-                yield from _select(element, (), f"{label}[{index}]")
-        else:
-            yield label, value
+        yield from leaves(value, path)
         return
     step, rest = steps[0], steps[1:]
     if isinstance(step, str):
-        yield from _select(getattr(value, step), rest, f"{label}.{step}")
+        yield from _selected(getattr(value, step), rest, (*path, step))
         return
     indices = range(len(value))[step] if isinstance(step, slice) else (step,)
     for index in indices:
         if -len(value) <= index < len(value):
-            yield from _select(value[index], rest, f"{label}[{index}]")
+            yield from _selected(value[index], rest, (*path, index))

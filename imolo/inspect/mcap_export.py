@@ -5,15 +5,19 @@ The topics of our channels keep their names. `/scene` holds ball, markers, predi
 """
 
 import json
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from imolo.config.simulation import BallConfig
+from imolo.contracts.trial import EventName
+from imolo.errors import ResultsError
+from imolo.inspect.trials import TrialEvents
 from imolo.machine.extras import import_extra
 from imolo.messaging import channels
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import Log
+from imolo.messaging.log import decoded
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
 
 Json = dict[str, Any]
@@ -21,47 +25,84 @@ Json = dict[str, Any]
 WORLD = "world"
 LIFETIME = 0.2  # [s] after which what was not seen again goes away
 JSON_TYPES = {"string": "string", "float": "number", "double": "number", "boolean": "boolean"}
+METADATA = "imolo"  # name of the record that says what a file is made of
+LAST_TIME = (1 << 64) - 1  # [ns] of MCAP
+DELETE_ALL = 1  # foxglove.SceneEntityDeletion
 SHAPES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 BALL_COLOR, MARKER_COLOR, TARGET_COLOR, PATH_COLOR = (0.9, 0.2, 0.1), (0.3, 0.5, 0.9), (0.1, 0.7, 0.3), (0.9, 0.6, 0.1)
 
 
-def write_mcap(log: Log, path: Path) -> None:
-    """Write a log as MCAP.
+def write_mcap(events: TrialEvents, path: Path, source: str) -> None:
+    """Write the messages of a log as MCAP.
+
+    Every time that Foxglove looks at is on the clock of the recording, which rises from trial to trial, while the clock
+    inside the messages may begin again with each of them.
+
+    Args:
+        events: Of the log.
+        path: File to write.
+        source: What the file is made of, for `source_of`.
 
     Raises:
+        BusError: The log cannot be read.
         MissingToolError: The package `mcap` is not installed.
         OSError: The file cannot be written.
+        ResultsError: The log is stamped before zero, or after the last time that MCAP knows.
     """
     writer_module = import_extra("mcap.writer", "export")
     with path.open("wb") as file:
         writer = writer_module.Writer(file)
         writer.start(profile="", library="imolo")
         topics: dict[str, int] = {}
-        for utime, topic, schema_name, schema, content in _messages(log):
+        for utime, topic, schema_name, schema, content in _messages(events):
             if topic not in topics:
                 schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
                 topics[topic] = writer.register_channel(topic, "json", schema_id)
             nanoseconds = 1000 * utime
+            if not 0 <= nanoseconds <= LAST_TIME:
+                raise ResultsError(
+                    f"{events.reader.path} has a message recorded at {utime} us, and MCAP has times from 0 to "
+                    f"{LAST_TIME // 1000} us only; is the log stamped in microseconds? --to csv takes any time"
+                )
             data = json.dumps(content, allow_nan=True).encode()
             writer.add_message(topics[topic], nanoseconds, data, nanoseconds)
+        writer.add_metadata(METADATA, {"source": source})
         writer.finish()
 
 
-def _messages(log: Log) -> Iterator[tuple[int, str, str, Json, Json]]:
+def source_of(path: Path) -> str | None:
+    """Return what an MCAP file of ours is made of; None for another file.
+
+    Raises:
+        MissingToolError: The package `mcap` is not installed.
+        OSError: The file cannot be read.
+    """
+    reader_module = import_extra("mcap.reader", "export")
+    errors = import_extra("mcap.exceptions", "export")
+    with path.open("rb") as file:
+        try:
+            found = [data.metadata for data in reader_module.make_reader(file).iter_metadata() if data.name == METADATA]
+        except (errors.McapError, ValueError, struct.error):
+            return None
+    return found[0].get("source") if found else None
+
+
+def _messages(events: TrialEvents) -> Iterator[tuple[int, str, str, Json, Json]]:
     """Yield time [µs], topic, name of the schema, schema and content in the order of the recording."""
-    rows = [
-        (received, name, message)
-        for name, messages in log.messages.items()
-        for received, message in zip(log.received[name], messages, strict=True)
-    ]
     schemas = {name: json_schema(channel.message_type) for name, channel in CHANNELS.items()}
-    for received, name, message in sorted(rows, key=lambda row: row[0]):
-        yield received, name, f"imolo_msgs.{type(message).__name__}", schemas[name], to_json(message)
+    for event, message in decoded(events, events.reader, CHANNELS):
+        name, recorded = event.channel, event.utime + events.reader.shift
+        yield recorded, name, f"imolo_msgs.{type(message).__name__}", schemas[name], to_json(message)
         if name == channels.TRUTH_ROBOT:
-            yield received, "/tf", "foxglove.FrameTransforms", OPEN_SCHEMA, _trunk(message)
+            yield recorded, "/tf", "foxglove.FrameTransforms", OPEN_SCHEMA, _trunk(message, recorded)
+        if name == channels.TRIAL and message.event == EventName.START:
+            # What is left of the trial before does not belong to this one.
+            everything = {"timestamp": _stamp(recorded), "type": DELETE_ALL, "id": ""}
+            yield recorded, "/scene", "foxglove.SceneUpdate", OPEN_SCHEMA, {"deletions": [everything], "entities": []}
         draw = DRAWN.get(name)
         if draw is not None:
-            yield received, "/scene", "foxglove.SceneUpdate", OPEN_SCHEMA, {"deletions": [], "entities": draw(message)}
+            entities = draw(message, recorded)
+            yield recorded, "/scene", "foxglove.SceneUpdate", OPEN_SCHEMA, {"deletions": [], "entities": entities}
 
 
 OPEN_SCHEMA: Json = {"type": "object"}  # Foxglove knows its own schemas by their names
@@ -124,10 +165,10 @@ def _sphere(position: Sequence[float], radius: float, color: Sequence[float], op
     }
 
 
-def _trunk(truth: truth_robot_t) -> Json:
+def _trunk(truth: truth_robot_t, utime: int) -> Json:
     w, x, y, z = to_json(list(truth.base_quaternion))
     transform = {
-        "timestamp": _stamp(truth.utime),
+        "timestamp": _stamp(utime),
         "parent_frame_id": WORLD,
         "child_frame_id": "trunk",
         "translation": _point(truth.base_position),
@@ -136,20 +177,20 @@ def _trunk(truth: truth_robot_t) -> Json:
     return {"transforms": [transform]}
 
 
-def _draw_ball(truth: truth_ball_t) -> list[Json]:
+def _draw_ball(truth: truth_ball_t, utime: int) -> list[Json]:
     ball = _sphere(truth.true_ball_position, BallConfig().radius, BALL_COLOR)
-    return [_entity(truth.utime, "ball", spheres=[ball])]
+    return [_entity(utime, "ball", spheres=[ball])]
 
 
-def _draw_markers(frame: mocap_frame_t) -> list[Json]:
+def _draw_markers(frame: mocap_frame_t, utime: int) -> list[Json]:
     spheres = [
         _sphere(marker.marker_position, 0.015, BALL_COLOR if marker.marker_id == marker_t.UNLABELLED else MARKER_COLOR)
         for marker in frame.markers
     ]
-    return [_entity(frame.utime, "markers", spheres=spheres)]
+    return [_entity(utime, "markers", spheres=spheres)]
 
 
-def _draw_plan(plan: plan_t) -> list[Json]:
+def _draw_plan(plan: plan_t, utime: int) -> list[Json]:
     line = {
         "type": 0,
         "pose": _pose((0.0, 0.0, 0.0)),
@@ -160,18 +201,18 @@ def _draw_plan(plan: plan_t) -> list[Json]:
         "colors": [],
         "indices": [],
     }
-    entities = [_entity(plan.utime, "predicted path", lines=[line])]
+    entities = [_entity(utime, "predicted path", lines=[line])]
     if plan.plan_onset_utime:
         cube = {
             "pose": _pose(plan.target_position),
             "size": dict.fromkeys("xyz", 0.03),
             "color": _color(TARGET_COLOR, 0.7),
         }
-        entities.append(_entity(plan.utime, "target", cubes=[cube]))
+        entities.append(_entity(utime, "target", cubes=[cube]))
     return entities
 
 
-DRAWN: dict[str, Callable[[Any], list[Json]]] = {
+DRAWN: dict[str, Callable[[Any, int], list[Json]]] = {
     channels.TRUTH_BALL: _draw_ball,
     channels.MOCAP: _draw_markers,
     channels.PLAN: _draw_plan,

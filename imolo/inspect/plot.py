@@ -8,44 +8,58 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imolo.campaigns.figures import COLORS, STYLE
+from imolo.command_line.terminal import plain
 from imolo.errors import ResultsError
-from imolo.inspect.fields import Selector, series
-from imolo.messaging.log import Log
+from imolo.inspect.fields import Selector
+from imolo.inspect.series import Series, read_series
+from imolo.messaging.log import LOG_SUFFIX
 
 LINES = ("-", "--", ":", "-.")  # one for each log; the colour is the element of the field
 MANY = 8  # columns of a field beyond which a legend says less than nothing
 
 
-def draw_fields(logs: Sequence[Log], selectors: Sequence[Selector]) -> Figure:
+def draw_fields(paths: Sequence[Path], selectors: Sequence[Selector], trial: int | None = None) -> Figure:
     """Draw each field in its own axes, the logs over each other.
 
+    Args:
+        paths: Of the logs.
+        selectors: The fields.
+        trial: Which trial of the logs, from 0; None for all, one after the other.
+
     Raises:
+        BusError: A log cannot be read, or has no such trial.
         FieldError: A channel is silent in a log.
     """
-    with mpl.rc_context(STYLE):
+    logs = [read_series(path, selectors, trial) for path in paths]
+    # A dollar sign in a name is no formula.
+    with mpl.rc_context({**STYLE, "text.parse_math": False}):
         figure = Figure(figsize=(9, 1.2 + 2.1 * len(selectors)), layout="constrained")
         grid = figure.subplots(len(selectors), 1, squeeze=False, sharex=True)[:, 0]
-        for axes, selector in zip(grid, selectors, strict=True):
-            _draw_field(axes, logs, selector)
+        for number, (axes, selector) in enumerate(zip(grid, selectors, strict=True)):
+            _draw_field(axes, short_names(paths), [log[number] for log in logs], selector)
         grid[-1].set_xlabel("time [s]")
-        if len(logs) == 1:
-            figure.suptitle(str(logs[0].path), fontsize="medium")
+        if len(paths) == 1:
+            figure.suptitle(plain(str(paths[0])), fontsize="medium")
     return figure
 
 
-def _draw_field(axes: Axes, logs: Sequence[Log], selector: Selector) -> None:
-    names = short_names([log.path for log in logs])
-    several = False
-    for log, name, line in zip(logs, names, (LINES * len(logs))[: len(logs)], strict=True):
-        found = series(log, selector)
-        several = several or len(found.labels) > 1
+def _draw_field(axes: Axes, names: Sequence[str], logs: Sequence[Series], selector: Selector) -> None:
+    for number, (name, found) in enumerate(zip(names, logs, strict=True)):
+        several = len(found.labels) > 1
         for column, label in enumerate(found.labels):
-            element = label.removeprefix(selector.channel + ".") if len(found.labels) > 1 else ""
+            element = label.removeprefix(selector.channel + ".") if several else ""
             text = " ".join(part for part in (element, name if len(logs) > 1 else "") if part)
-            color = COLORS[column % len(COLORS)] if len(found.labels) > 1 else COLORS[names.index(name) % len(COLORS)]
             # A single message is a point, and a line of one point is invisible.
             marker = "." if len(found.time) < 2 else ""
-            axes.plot(found.time, found.values[:, column], line, marker=marker, color=color, label=text, linewidth=1.1)
+            axes.plot(
+                found.time,
+                found.values[:, column],
+                LINES[number % len(LINES)],
+                marker=marker,
+                color=COLORS[(column if several else number) % len(COLORS)],
+                label=text,
+                linewidth=1.1,
+            )
     axes.set_title(selector.text, loc="left")
     axes.set_ylabel(f"[{selector.unit}]" if selector.unit else "")
     count = len(axes.lines)
@@ -53,15 +67,24 @@ def _draw_field(axes: Axes, logs: Sequence[Log], selector: Selector) -> None:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
 
 
+def log_name(path: Path) -> str:
+    """Return the name of a log without our ending; others, as of a log that lcm-logger split, are part of it."""
+    return path.name.removesuffix(LOG_SUFFIX) or path.name
+
+
 def short_names(paths: Sequence[Path]) -> list[str]:
     """Return the parts of paths in which they differ; the file name where they do not."""
-    parts = [path.with_suffix("").parts for path in paths]
+    parts = [(*path.parts[:-1], log_name(path)) for path in paths]
+    if len(set(parts)) < len(set(paths)):
+        parts = [path.parts for path in paths]
     if len(set(parts)) < 2:
-        return [path.stem for path in paths]
+        return [plain(log_name(path)) for path in paths]
     width = min(map(len, parts))
     first = next((i for i in range(width) if len({p[i] for p in parts}) > 1), width)
     last = next((i for i in range(1, width - first + 1) if len({p[-i] for p in parts}) > 1), 1)
-    return ["/".join(p[first : len(p) - last + 1]) or path.stem for p, path in zip(parts, paths, strict=True)]
+    names = [str(Path(*(p[first : len(p) - last + 1] or p[-1:]))) for p in parts]
+    distinct = len(set(names)) == len(set(parts))
+    return [plain(name if distinct else str(path)) for name, path in zip(names, paths, strict=True)]
 
 
 def save_figure(figure: Figure, path: Path) -> None:

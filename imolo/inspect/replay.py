@@ -11,7 +11,7 @@ from imolo.errors import BusError, ConfigError, did_you_mean
 from imolo.inspect.diff import RunComparison, compare_runs
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.messaging.log import decode, read_log
+from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogEvent, read_events
 
 HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
@@ -32,9 +32,9 @@ def replay(log_path: Path, table_path: Path, method: str, config_path: Path | No
         ConfigError: The config cannot be read, or has no such method.
         TableFileError: The table cannot be read, or is for another robot.
     """
-    events, _ = read_events(log_path)
-    log = read_log(log_path)
-    start = next((event for event in log.messages[channels.TRIAL] if event.event == EventName.START), None)
+    events = [event for event in read_events(log_path, (*HEARD, *SAID)) if event.channel in (*HEARD, *SAID)]
+    trial_events = [decode(event.channel, event.data) for event in events if event.channel == channels.TRIAL]
+    start = next((event for event in trial_events if event is not None and event.event == EventName.START), None)
     if start is None:
         raise BusError(f"{log_path} holds no start of a trial, so there is nothing to replay")
     config = _config(config_path, start.backend, start.robot)

@@ -1,14 +1,13 @@
 """What a channel does: rate, jitter, age, and messages that are missing from its numbering."""
 
 from collections import deque
-from collections.abc import Iterable
 from math import sqrt
+from struct import Struct
 from typing import Any
 
 from imolo.messaging import channels
-from imolo.messaging.channels import CHANNELS
+from imolo.messaging.channels import CHANNELS, STREAMS
 from imolo.messaging.log import decode
-from imolo.messaging.log_file import LogEvent
 
 SEQUENCE_FIELDS = {
     channels.ACTUATOR_COMMAND: "command_sequence",
@@ -17,6 +16,10 @@ SEQUENCE_FIELDS = {
     channels.PLAN: "answered_frame",
 }
 WINDOW = 1.0  # [s] over which the rate of a running session is counted
+MOST_RECENT = 10_000  # messages within it that are remembered
+SHOWN = 8  # elements of an array
+FINGERPRINT = 8  # [bytes] with which every message begins
+FORMATS = {"int8_t": "b", "int16_t": "h", "int32_t": "i", "int64_t": "q", "float": "f", "double": "d"}
 
 
 class ChannelStatistics:
@@ -28,7 +31,6 @@ class ChannelStatistics:
         missing: Numbers that were passed over in their numbering, since the numbering last began; None where they
             are not numbered.
         undecoded: Number of messages that are not of the channel's type.
-        last: The newest message; None for a channel that is not ours.
         last_time: When it came [s].
     """
 
@@ -37,70 +39,87 @@ class ChannelStatistics:
         self.count = 0
         self.missing: int | None = 0 if channel in SEQUENCE_FIELDS else None
         self.undecoded = 0
-        self.last: Any | None = None
         self.last_time = 0.0
+        known = CHANNELS.get(channel)
+        self._fingerprint = None if known is None else known.message_type._get_packed_fingerprint()
+        self._number = (
+            Struct("") if self.missing is None else _up_to(CHANNELS[channel].message_type, SEQUENCE_FIELDS[channel])
+        )
+        self._last_data: bytes | None = None
         self._first_time = 0.0
+        self._follows = False  # whether the next message comes a gap after the last one
+        self._gaps = 0
         self._gap_sum = 0.0
         self._gap_squares = 0.0
-        self._number: int | None = None
-        self._recent: deque[float] = deque()
+        self._newest_number: int | None = None
+        self._recent: deque[float] = deque(maxlen=MOST_RECENT)
 
     def add(self, data: bytes, time: float) -> None:
         """Count a message that came at this time [s]."""
         if self.count == 0:
             self._first_time = time
-        else:
+        if self._follows:
             gap = time - self.last_time
+            self._gaps += 1
             self._gap_sum += gap
             self._gap_squares += gap * gap
+        self._follows = True
         self.count += 1
         self.last_time = time
         self._recent.append(time)
-        while self._recent[0] < time - WINDOW:
-            self._recent.popleft()
-        if self.channel not in CHANNELS:
+        if self._fingerprint is None:
             return
-        message = decode(self.channel, data)
-        if message is None:
+        # A log may have millions of messages, so one that shows its type and its number is not decoded.
+        if not data.startswith(self._fingerprint) or len(data) < FINGERPRINT + self._number.size:
             self.undecoded += 1
             return
-        self.last = message
+        self._last_data = data
         if self.missing is not None:
-            self._follow(getattr(message, SEQUENCE_FIELDS[self.channel]))
+            self._follow(self._number.unpack_from(data, FINGERPRINT)[-1])
+
+    def pause(self) -> None:
+        """Do not count the time until the next message."""
+        self._follows = False
 
     def _follow(self, number: int) -> None:
         # Numbers that fall back are those of a new trial, or of a sender that was started again.
-        if self._number is not None and self.missing is not None and number > self._number + 1:
-            self.missing += number - self._number - 1
-        self._number = number
+        if self._newest_number is not None and self.missing is not None and number > self._newest_number:
+            self.missing += number - self._newest_number - 1
+        self._newest_number = number
+
+    @property
+    def last(self) -> Any | None:
+        """The newest message; None for a channel that is not ours, and where it cannot be decoded."""
+        return None if self._last_data is None else decode(self.channel, self._last_data)
 
     @property
     def mean_rate(self) -> float:
-        """Messages per second from the first to the last one [Hz]; 0 for a single message."""
-        return (self.count - 1) / self._gap_sum if self._gap_sum > 0.0 else 0.0
+        """Messages per second from the first to the last one, pauses left out [Hz]; 0 for a single message."""
+        return self._gaps / self._gap_sum if self._gap_sum > 0.0 else 0.0
 
     def rate(self, now: float) -> float:
         """Return the messages per second over the last second [Hz]."""
         recent = sum(time > now - WINDOW for time in self._recent)
-        return recent / min(WINDOW, max(now - self._first_time, 1e-3)) if now > self._first_time else 0.0
+        begin = self._recent[0] if recent == MOST_RECENT else self._first_time
+        return recent / min(WINDOW, max(now - begin, 1e-3)) if now > begin else 0.0
 
     @property
     def jitter(self) -> float:
         """Standard deviation of the time between two messages [s]."""
-        gaps = self.count - 1
-        if gaps < 2:
+        if self._gaps == 0:
             return 0.0
-        mean = self._gap_sum / gaps
-        return sqrt(max(self._gap_squares / gaps - mean * mean, 0.0))
+        mean = self._gap_sum / self._gaps
+        return sqrt(max(self._gap_squares / self._gaps - mean * mean, 0.0))
 
     def last_values(self) -> str:
         """Return the newest message in short: no time of its own, no counters, long arrays cut."""
-        if self.last is None:
+        last = self.last
+        if last is None:
             return "" if self.channel in CHANNELS else "(not a channel of ours)"
         parts = []
-        for name in self.last.__slots__:
+        for name in last.__slots__:
             if name not in ("utime", SEQUENCE_FIELDS.get(self.channel)) and not name.startswith("num_"):
-                parts.append(f"{name} {_short(getattr(self.last, name))}")
+                parts.append(f"{name} {_short(getattr(last, name))}")
         return ", ".join(parts)
 
 
@@ -110,7 +129,7 @@ def _short(value: Any) -> str:
     if isinstance(value, list | tuple):
         if value and (isinstance(value[0], list | tuple) or hasattr(value[0], "__slots__")):
             return f"({len(value)})"
-        return "[" + " ".join(_short(element) for element in value[:8]) + ("…]" if len(value) > 8 else "]")
+        return "[" + " ".join(map(_short, value[:SHOWN])) + (" …]" if len(value) > SHOWN else "]")
     return str(value)
 
 
@@ -126,6 +145,11 @@ class BusStatistics:
             self._channels[channel] = ChannelStatistics(channel)
         self._channels[channel].add(data, time)
 
+    def begin_trial(self) -> None:
+        """Leave the time since the last trial out of the rates."""
+        for name in STREAMS.keys() & self._channels.keys():
+            self._channels[name].pause()
+
     @property
     def channels(self) -> list[ChannelStatistics]:
         """The channels that were heard."""
@@ -133,9 +157,7 @@ class BusStatistics:
         return ours + [found for name, found in self._channels.items() if name not in CHANNELS]
 
 
-def statistics_of(events: Iterable[LogEvent]) -> BusStatistics:
-    """Count the events of a log by the time at which they were recorded."""
-    statistics = BusStatistics()
-    for event in events:
-        statistics.add(event.channel, event.data, event.utime * 1e-6)
-    return statistics
+def _up_to(message_type: type[Any], field: str) -> Struct:
+    """Return how a message begins, up to a number that only numbers stand before."""
+    names = message_type.__slots__[: message_type.__slots__.index(field) + 1]
+    return Struct(">" + "".join(FORMATS[kind] for kind in message_type.__typenames__[: len(names)]))

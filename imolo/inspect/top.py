@@ -9,28 +9,44 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from imolo.inspect.statistics import BusStatistics, ChannelStatistics, statistics_of
+from imolo.command_line.terminal import plain
+from imolo.inspect.statistics import BusStatistics, ChannelStatistics
+from imolo.inspect.trials import TrialEvents
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import warn_of_damage
-from imolo.messaging.log_file import read_events
+from imolo.messaging.log_file import LogReader
 
 REFRESH = 0.25  # [s] between two pictures of a live table
 STALE = 1.0  # [s] of silence after which a channel is shown dim
 WIDE = 110  # [characters] from which on there is room for the type of a channel
 
 
-def log_table(path: Path, width: int) -> Table:
-    """Return the channels of a whole log, for a terminal of this width [characters].
+def log_table(path: Path, width: int, trial: int | None = None) -> Table:
+    """Return the channels of a log, for a terminal of this width [characters].
+
+    Args:
+        path: Of the log.
+        width: Of the terminal [characters].
+        trial: Which trial, from 0; None for the whole log.
 
     Raises:
-        BusError: It is missing or no log.
+        BusError: It is missing or no log, or has no such trial.
     """
-    events, damage = read_events(path)
-    warn_of_damage(path, damage)
-    statistics = statistics_of(events)
-    begin, end = (events[0].utime, events[-1].utime) if events else (0, 0)
-    table = _empty_table(f"{path}, {(end - begin) * 1e-6:.3f} s", "to end", width)
+    statistics = BusStatistics()
+    begin: int | None = None
+    end = trials = 0
+    with LogReader(path, CHANNELS) as reader:
+        events = TrialEvents(reader, trial)
+        for event in events:
+            end = event.utime + reader.shift
+            begin = end if begin is None else begin
+            if events.count > trials:
+                trials = events.count
+                statistics.begin_trial()
+            statistics.add(event.channel, event.data, end * 1e-6)
+    several = f", {trials} trials" if trial is None and trials > 1 else ""
+    span = end - begin if begin is not None else 0
+    table = _empty_table(f"{path}, {span * 1e-6:.3f} s{several}", "to end", width)
     for channel in statistics.channels:
         _add_row(table, channel, channel.mean_rate, end * 1e-6 - channel.last_time, width)
     return table
@@ -70,7 +86,7 @@ def watch(url: str, console: Console, seconds: float | None = None) -> None:
 
 
 def _empty_table(title: str, age: str, width: int) -> Table:
-    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, expand=True)
+    table = Table(title=escape(plain(title)), title_justify="left", box=box.SIMPLE_HEAD, padding=0, expand=True)
     table.add_column("channel", no_wrap=True)
     if width >= WIDE:
         table.add_column("type", no_wrap=True)
@@ -86,13 +102,13 @@ def _add_row(table: Table, channel: ChannelStatistics, rate: float, age: float, 
     broken = f"({channel.undecoded} not decoded) " if channel.undecoded else ""
     missing = "-" if channel.missing is None else str(channel.missing)
     table.add_row(
-        escape(channel.channel),
+        escape(plain(channel.channel)),
         *([kind] if width >= WIDE else []),
         str(channel.count),
         f"{rate:.1f}",
         f"{age:.3f}",
         f"{1e3 * channel.jitter:.2f}",
         f"[red]{missing}[/red]" if channel.missing else missing,
-        escape(broken + channel.last_values()),
+        escape(plain(broken + channel.last_values())),
         style=style,
     )

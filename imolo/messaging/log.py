@@ -1,8 +1,7 @@
 """Logs: every message of a trial in an LCM event log that lcm-logplayer can play, and the way back."""
 
-import logging
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,7 @@ import lcm
 from imolo.errors import BusError
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log_file import HEADER, Damage, LogEvent, read_events
-
-logger = logging.getLogger(__name__)
+from imolo.messaging.log_file import HEADER, Damage, LogEvent, LogReader
 
 LOG_SUFFIX = ".lcmlog"
 
@@ -81,29 +78,46 @@ def read_log(path: Path) -> Log:
     Raises:
         BusError: The file is missing or no log, or a channel in it carries messages of another type.
     """
-    events, damage = read_events(path)
-    log = Log(path, damage=damage)
+    log = Log(path)
+    with LogReader(path, CHANNELS) as reader:
+        for event, message in decoded(reader, reader, CHANNELS):
+            log.messages[event.channel].append(message)
+            log.received[event.channel].append(event.utime)
+    log.damage = reader.damage
+    return log
+
+
+def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str]) -> Iterator[tuple[LogEvent, Any]]:
+    """Yield the events on some channels of ours with what they hold; messages of another type count as damage.
+
+    Args:
+        events: Of the reader.
+        reader: Told of the damage.
+        wanted: The channels; others are passed over.
+
+    Raises:
+        BusError: All messages of a channel are of another type.
+    """
     broken: dict[str, LogEvent] = {}
+    whole: set[str] = set()
     for event in events:
-        if event.channel not in CHANNELS:
+        if event.channel not in wanted:
             continue
         message = decode(event.channel, event.data)
-        if message is None:
-            broken.setdefault(event.channel, event)
-            end = event.offset + HEADER.size + len(event.channel) + len(event.data)
-            damage.append(Damage(event.offset, end, event.utime, f"a damaged message on {event.channel}"))
+        if message is not None:
+            whole.add(event.channel)
+            yield event, message
             continue
-        log.messages[event.channel].append(message)
-        log.received[event.channel].append(event.utime)
+        broken.setdefault(event.channel, event)
+        end = event.offset + HEADER.size + len(event.channel) + len(event.data)
+        what = f"a damaged message on {event.channel}"
+        reader.add_damage(Damage(event.offset, end, event.utime, what))
     for name, event in broken.items():
-        if not log.messages[name]:
+        if name not in whole:
             raise BusError(
-                f"{path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
+                f"{reader.path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
                 "was it recorded with other message types?"
             )
-    damage.sort(key=lambda part: part.start)
-    warn_of_damage(path, damage)
-    return log
 
 
 def decode(channel: str, data: bytes) -> Any | None:
@@ -112,10 +126,3 @@ def decode(channel: str, data: bytes) -> Any | None:
         return CHANNELS[channel].message_type.decode(data)
     except (ValueError, struct.error, MemoryError, OverflowError):
         return None
-
-
-def warn_of_damage(path: Path, damage: Sequence[Damage]) -> None:
-    """Say in one line what is wrong with a log."""
-    if damage:
-        others = f", and {len(damage) - 1} more" if len(damage) > 1 else ""
-        logger.warning("%s is damaged: %s%s; the rest was read", path, damage[0], others)

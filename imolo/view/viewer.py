@@ -19,6 +19,7 @@ from imolo.view.sessions import LiveSession, RecordedSession
 HOST = "127.0.0.1"
 CLOCK = (-1.0, 0.0, 2.2)  # [m]
 PICTURES = 60.0  # [Hz] of the browser
+MOST_PICTURES = 100_000  # in one file
 
 
 def describe(robot: str) -> Body:
@@ -70,14 +71,22 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
         speed: How fast it plays; below 1 for slow motion.
 
     Raises:
+        ConfigError: It would hold more pictures than a browser plays.
         ResultsError: The file cannot be written.
     """
+    if len(_pictures(sessions, speed)) > MOST_PICTURES:
+        seconds = max(session.duration for session in sessions)
+        raise ConfigError(
+            f"{seconds:.0f} s at --speed {speed:g} are more than {MOST_PICTURES} pictures; "
+            "choose one trial with --trial, or a larger --speed"
+        )
     server, scenes = _open(sessions, 0)
     try:
         clock = server.scene.add_label("/time", "", position=CLOCK, anchor="center-left")
         show_all(scenes, [session.at(0.0) for session in sessions])
         recording = server.get_scene_serializer()
-        for now in _times(sessions, speed / PICTURES):
+        for number in _pictures(sessions, speed):
+            now = number * speed / PICTURES
             show_all(scenes, [session.at(now) for session in sessions])
             clock.text = f"{now:.3f} s"
             recording.insert_sleep(1.0 / PICTURES)
@@ -91,9 +100,9 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
         raise ResultsError(f"cannot write {path}: {error.strerror}; choose another --html") from error
 
 
-def _times(sessions: Sequence[RecordedSession], step: float) -> list[float]:
+def _pictures(sessions: Sequence[RecordedSession], speed: float) -> range:
     duration = max(session.duration for session in sessions)
-    return [number * step for number in range(int(duration / step) + 2)]
+    return range(int(duration * PICTURES / speed) + 2)
 
 
 def serve(sessions: Sequence[RecordedSession], port: int, speed: float, tell: Callable[[str], None]) -> None:
@@ -104,7 +113,8 @@ def serve(sessions: Sequence[RecordedSession], port: int, speed: float, tell: Ca
     rate = server.gui.add_slider("speed", 0.05, 1.0, 0.05, min(max(speed, 0.05), 1.0))
     playing = server.gui.add_checkbox("play", True)
     if len(sessions) > 1:
-        server.gui.add_markdown("over each other: " + ", ".join(session.name for session in sessions))
+        # As text, since names come from files and logs, and Markdown would run the HTML in them.
+        server.gui.add_text("over each other", ", ".join(session.name for session in sessions), disabled=True)
     tell(f"http://{HOST}:{server.get_port()}")
     try:
         while True:

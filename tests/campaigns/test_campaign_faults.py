@@ -21,7 +21,7 @@ from imolo.campaigns.kept_trials import TrialTiming, partial_path, set_aside
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import BackendConfig, ExperimentConfig
 from imolo.contracts import provenance
-from imolo.contracts.backend import EventName, Trial, TrialKind
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BusError, ImoloError, ResultsError
 from imolo.machine.files import whole_file, write_whole
 from imolo.messaging import channels

@@ -13,12 +13,16 @@ from pyarrow import parquet
 from recorded_trials import Recorded
 
 from imolo.errors import MissingToolError
-from imolo.inspect.fields import flatten
+from imolo.inspect.fields import column_name, leaves
 from imolo.inspect.mcap_export import to_json
 from imolo.machine.extras import import_extra
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import Log, read_log
 from imolo_msgs import actuator_state_t
+
+
+def flatten(message: object) -> dict[str, object]:
+    return {column_name(path): value for path, value in leaves(message)}
 
 
 @pytest.fixture
@@ -35,7 +39,7 @@ def test_csv_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, run: R
             rows = list(csv.DictReader(file))
         assert [int(row["recorded_utime"]) for row in rows] == log.received[name]
         for row, message in zip(rows, messages, strict=True):
-            fields = dict(flatten(message))
+            fields = flatten(message)
             assert {key: value for key, value in row.items() if value} == {
                 "recorded_utime": row["recorded_utime"],
                 **{key: str(value) for key, value in fields.items() if str(value)},
@@ -50,7 +54,7 @@ def test_parquet_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, ru
         rows = parquet.read_table(tmp_path / f"{name}.parquet").to_pylist()
         assert [row.pop("recorded_utime") for row in rows] == log.received[name]
         for row, message in zip(rows, messages, strict=True):
-            assert {key: value for key, value in row.items() if value is not None} == dict(flatten(message))
+            assert {key: value for key, value in row.items() if value is not None} == flatten(message)
 
 
 def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_trials import Recorded
+from recorded_trials import Recorded, write_events
 
 from imolo.errors import FieldError
 from imolo.inspect.definitions import definition_files, field_units
-from imolo.inspect.fields import columns, flatten, parse_selector, series
+from imolo.inspect.fields import column_name, leaf_name, leaves, parse_selector, selected
+from imolo.inspect.series import read_series, samples
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import read_log
-from imolo_msgs import marker_t, mocap_frame_t
+from imolo.messaging.log_file import LogEvent, read_events
+from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t
 
 
 @pytest.mark.parametrize(
@@ -59,9 +61,8 @@ def test_wrong_field_is_refused_with_what_is_right(text: str, message: str) -> N
 
 
 def test_series_holds_what_the_messages_hold(recorded: Recorded) -> None:
-    log = read_log(recorded.first)
-    messages = log.messages["TRUTH_ROBOT"]
-    found = series(log, parse_selector("TRUTH_ROBOT.joint_angle[1:3]"))
+    messages = read_log(recorded.first).messages["TRUTH_ROBOT"]
+    (found,) = read_series(recorded.first, [parse_selector("TRUTH_ROBOT.joint_angle[1:3]")])
     assert found.time.tolist() == [message.utime * 1e-6 for message in messages]
     assert found.values.tolist() == [list(message.joint_angle[1:3]) for message in messages]
     assert found.labels == ("TRUTH_ROBOT.joint_angle[1]", "TRUTH_ROBOT.joint_angle[2]")
@@ -69,29 +70,86 @@ def test_series_holds_what_the_messages_hold(recorded: Recorded) -> None:
 
 def test_element_that_a_message_does_not_have_is_nan(recorded: Recorded) -> None:
     log = read_log(recorded.first)
-    found = series(log, parse_selector("PLAN.predicted_position[0][2]"))
+    (found,) = read_series(recorded.first, [parse_selector("PLAN.predicted_position[0][2]")])
     for plan, value in zip(log.messages["PLAN"], found.values[:, 0], strict=True):
         assert np.isnan(value) if plan.num_predictions == 0 else value == plan.predicted_position[0][2]
 
 
-def test_silent_channel_is_refused_with_those_that_speak(recorded: Recorded) -> None:
-    log = read_log(recorded.first)
-    log.messages["PLAN"] = []
+def test_silent_channel_is_refused_with_those_that_speak(recorded: Recorded, tmp_path: Path) -> None:
+    path = write_events(tmp_path / "log", [event for event in read_events(recorded.first) if event.channel != "PLAN"])
     with pytest.raises(FieldError, match=r"has no PLAN; it has ACTUATOR_COMMAND, ACTUATOR_STATE, MOCAP"):
-        series(log, parse_selector("PLAN.state"))
+        read_series(path, [parse_selector("PLAN.state")])
 
 
-def test_columns_of_longer_messages_are_empty_for_shorter_ones() -> None:
-    frames = []
-    for count in (1, 2):
-        frame = mocap_frame_t()
-        frame.markers = [marker_t() for _ in range(count)]
-        frame.num_markers = count
-        frames.append(frame)
-    table = columns(frames)
-    assert table["markers_0_marker_id"] == [0, 0]
-    assert table["markers_1_marker_position_2"] == [None, 0.0]
-    assert list(table) == [name for name, _ in flatten(frames[1])]
+def test_leaf_has_a_name_for_tables_and_one_for_people() -> None:
+    frame = mocap_frame_t()
+    frame.markers = [marker_t(), marker_t()]
+    path = [path for path, _ in leaves(frame)][-1]
+    assert path == ("markers", 1, "marker_position", 2)
+    assert column_name(path) == "markers_1_marker_position_2"
+    assert leaf_name("MOCAP", path) == "markers[1].marker_position[2]"
+
+
+def test_name_of_an_element_is_given_in_one_place(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imolo.inspect.fields.label", lambda channel, field, index: f" {channel}/{field}/{index}")
+    (found,) = read_series(recorded.first, [parse_selector("ACTUATOR_STATE.pressure[1:2]")])
+    assert found.labels == ("ACTUATOR_STATE.pressure ACTUATOR_STATE/pressure/(1,)",)
+
+
+@pytest.mark.parametrize("index", [-3, 2])
+def test_index_up_to_the_edge_of_an_array_is_taken(index: int) -> None:
+    assert parse_selector(f"TRUTH_BALL.true_ball_position[{index}]").steps[-1] == index
+
+
+@pytest.mark.parametrize("index", [-4, 3])
+def test_index_past_the_edge_of_an_array_is_refused(index: int) -> None:
+    with pytest.raises(FieldError, match=f"index {index} is out of range; the array has 3 elements"):
+        parse_selector(f"TRUTH_BALL.true_ball_position[{index}]")
+
+
+@pytest.mark.parametrize(
+    ("slice_text", "elements"),
+    [("[:]", [0, 1, 2]), ("[1:]", [1, 2]), ("[:2]", [0, 1]), ("[0:2]", [0, 1]), ("[-1:]", [2]), ("[-1]", [-1])],
+)
+def test_slice_selects_as_python_does(slice_text: str, elements: list[int]) -> None:
+    selector = parse_selector(f"TRUTH_BALL.true_ball_position{slice_text}")
+    message = truth_ball_t()
+    message.true_ball_position = [10.0, 11.0, 12.0]
+    found = list(selected(message, selector.steps))
+    assert found == [(("true_ball_position", n), message.true_ball_position[n]) for n in elements]
+
+
+def test_element_before_the_first_of_a_short_array_is_left_out() -> None:
+    plan = plan_t()
+    plan.num_predictions, plan.predicted_position = 1, [[1.0, 2.0, 3.0]]
+    for index, expected in ((-2, []), (-1, [1.0]), (0, [1.0]), (1, [])):
+        steps = parse_selector(f"PLAN.predicted_position[{index}][0]").steps
+        assert [value for _, value in selected(plan, steps)] == expected
+
+
+def test_long_series_keeps_its_outline_and_its_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One value of a thousand is a peak; a hundredth of the numbers are kept."""
+    monkeypatch.setattr("imolo.inspect.series.NUMBERS", 200)
+    count, peak = 5000, 3333
+    events = []
+    for number in range(count):
+        truth = truth_ball_t()
+        truth.utime = 1000 * number
+        truth.true_ball_position = [7.0 if number == peak else 0.001 * number % 1.0, 0.0, 0.0]
+        events.append(LogEvent(number, truth.utime, "TRUTH_BALL", truth.encode(), 0))
+    path = write_events(tmp_path / "log", events)
+    selector = parse_selector("TRUTH_BALL.true_ball_position[0]")
+    (found,) = read_series(path, [selector])
+    assert 20 <= len(found.time) <= 200
+    # The largest of a few neighbours takes their last time.
+    near = abs(found.time - 0.001 * peak) <= 0.001 * 4 * count / len(found.time)
+    assert found.values[near].max() == 7.0
+    assert (found.time[0], found.time[-1]) == (0.0, 0.001 * (count - 1))
+    assert np.all(np.diff(found.time) >= 0.0)
+    (sampled,) = read_series(path, [selector], thin=samples)
+    for time, (value,) in zip(sampled.time, sampled.values, strict=True):
+        number = round(1000 * time)
+        assert value == (7.0 if number == peak else 0.001 * number % 1.0)
 
 
 def test_every_time_has_its_unit() -> None:

@@ -4,6 +4,7 @@ import base64
 import re
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -15,27 +16,28 @@ from recorded_trials import Recorded
 from requirements import needs
 
 from imolo.contracts.registry import describe_robot
-from imolo.contracts.trial import EventName
-from imolo.inspect.fields import parse_selector, series
+from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, short_names
-from imolo.inspect.statistics import ChannelStatistics, statistics_of
+from imolo.inspect.series import read_series
+from imolo.inspect.statistics import BusStatistics, ChannelStatistics, _short
+from imolo.inspect.top import WIDE, live_table
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
 from imolo.messaging.log_file import read_events
 from imolo.view.sessions import LiveSession, recorded_sessions
-from imolo_msgs import mocap_frame_t, trial_event_t, truth_robot_t
+from imolo_msgs import mocap_frame_t, plan_t, trial_event_t, truth_robot_t
 
 # Plots
 
 
 def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
-    logs = [read_log(recorded.first), read_log(recorded.second)]
+    logs = [recorded.first, recorded.second]
     selectors = [parse_selector("ACTUATOR_STATE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
     pressures, theta = draw_fields(logs, selectors).axes
     assert (len(pressures.lines), len(theta.lines)) == (6, 2)
     assert (pressures.get_ylabel(), theta.get_ylabel(), theta.get_xlabel()) == ("[Pa]", "[s]", "time [s]")
-    expected = series(logs[1], selectors[1])
+    (expected,) = read_series(logs[1], selectors[1:])
     assert theta.lines[1].get_xydata().tolist() == [[t, v] for t, (v,) in zip(expected.time, expected.values)]  # type: ignore[union-attr] # noqa: B905
 
 
@@ -62,6 +64,11 @@ def test_figure_of_an_unknown_kind_is_one_line(recorded: Recorded, run: Run) -> 
         (["a/x_1.lcmlog", "a/x_2.lcmlog"], ["x_1", "x_2"]),
         (["a/x.lcmlog"], ["x"]),
         (["x.lcmlog", "x.lcmlog"], ["x", "x"]),
+        (["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"], ["lcmlog-2026-03-14.00", "lcmlog-2026-03-14.01"]),
+        (["a/x", "a/x.lcmlog"], ["x", "x.lcmlog"]),
+        (["/logs/x.lcmlog", "x.lcmlog"], ["/logs/x", "x"]),
+        ([".lcmlog"], [".lcmlog"]),
+        (["x\x1b[31m.lcmlog"], ["x\\x1b[31m"]),
     ],
 )
 def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names: list[str]) -> None:
@@ -72,7 +79,10 @@ def test_logs_are_called_by_what_differs_in_their_paths(paths: list[str], names:
 
 
 def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> None:
-    found = {channel.channel: channel for channel in statistics_of(read_events(recorded.first)[0]).channels}
+    statistics = BusStatistics()
+    for event in read_events(recorded.first):
+        statistics.add(event.channel, event.data, event.utime * 1e-6)
+    found = {channel.channel: channel for channel in statistics.channels}
     assert list(found) == list(channels.STREAMS)
     # Stamps are multiples of the 1 ms between two looks at the bus, over most of a second.
     assert found["ACTUATOR_STATE"].mean_rate == pytest.approx(1000.0, rel=1e-2)
@@ -95,6 +105,53 @@ def test_messages_of_another_type_and_of_others_are_counted() -> None:
     for statistics in (wrong, foreign):
         statistics.add(trial_event_t().encode(), 0.0)
     assert (wrong.undecoded, foreign.undecoded, wrong.count, foreign.count) == (1, 0, 1, 1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 41])
+def test_rate_of_a_running_session_is_that_of_the_last_second(count: int) -> None:
+    """A message every 50 ms; the rate is asked for with the last one."""
+    statistics = ChannelStatistics("CAMERA")
+    for number in range(count):
+        statistics.add(b"", 0.05 * number)
+    now = 0.05 * (count - 1) + 1e-6
+    # Within the first second the messages so far are divided by the time so far.
+    expected = count / max(now, 1e-3) if now < 1.0 else 20.0
+    assert statistics.rate(now) == pytest.approx(expected)
+    assert statistics.rate(now + 1.0) == 0.0
+
+
+def test_rate_beyond_what_is_remembered_is_that_of_what_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imolo.inspect.statistics.MOST_RECENT", 100)
+    statistics = ChannelStatistics("CAMERA")
+    for number in range(500):
+        statistics.add(b"", 0.001 * number)
+    assert statistics.rate(0.499) == pytest.approx(100 / 0.099)
+
+
+@pytest.mark.parametrize(("length", "shown"), [(8, "1 1 1 1 1 1 1 1]"), (9, "1 1 1 1 1 1 1 1 …]")])
+def test_long_array_is_cut(length: int, shown: str) -> None:
+    assert _short([1.0] * length) == f"[{shown}"
+
+
+def test_single_gap_has_no_jitter_and_no_gap_no_rate() -> None:
+    statistics = ChannelStatistics("CAMERA")
+    statistics.add(b"", 5.0)
+    assert (statistics.mean_rate, statistics.jitter) == (0.0, 0.0)
+    statistics.add(b"", 5.5)
+    assert (statistics.mean_rate, statistics.jitter) == (2.0, 0.0)
+    statistics.pause()
+    statistics.add(b"", 9.0)
+    assert (statistics.mean_rate, statistics.jitter, statistics.count) == (2.0, 0.0, 3)
+
+
+def test_silent_channel_is_dim_after_a_second() -> None:
+    statistics = BusStatistics()
+    statistics.add("PLAN", plan_t().encode(), 10.0)
+    for age, style in ((1.0, ""), (1.1, "dim")):
+        table = live_table(statistics, "url", 10.0 + age, WIDE)
+        assert table.rows[-1].style == style
+        assert len(table.columns) == 8
+        assert len(live_table(statistics, "url", 10.0 + age, WIDE - 1).columns) == 7
 
 
 def test_jitter_is_the_spread_of_the_gaps() -> None:
@@ -168,10 +225,12 @@ def test_page_plays_robot_ball_and_plan_of_every_log_without_a_network(
 
 
 def test_recorded_session_shows_the_newest_messages_by_their_own_time(recorded: Recorded) -> None:
-    (session,) = recorded_sessions([read_log(recorded.first)], ["x"])
-    moment = session.at(0.3)
-    assert all(0.29 < moment[name].utime * 1e-6 <= 0.3 for name in ("TRUTH_ROBOT", "TRUTH_BALL", "MOCAP", "PLAN"))
-    assert set(session.at(0.0)) == {"TRIAL"}
+    (session,) = recorded_sessions([recorded.first], ["x"])
+    with closing(session):
+        moment = session.at(0.3)
+        assert all(0.29 < moment[name].utime * 1e-6 <= 0.3 for name in ("TRUTH_ROBOT", "TRUTH_BALL", "MOCAP", "PLAN"))
+        assert session.at(0.3)["PLAN"] is moment["PLAN"]  # what is not new is not drawn again
+        assert set(session.at(0.0)) == {"TRIAL"}
 
 
 def test_live_session_shows_what_came_last() -> None:

@@ -2,27 +2,21 @@
 
 from pathlib import Path
 
-import lcm
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from command_line import Run
-from recorded_trials import METHOD, Recorded
+from recorded_trials import METHOD, Recorded, write_events
 
-from imolo.inspect.diff import compare_logs, compare_runs
-from imolo.inspect.divergence import difference_over_time, draw_divergence
+from imolo.campaigns.figures import COLORS
+from imolo.inspect.diff import _compare_values, _Parting, compare_logs, compare_runs
+from imolo.inspect.divergence import FLOOR, PANELS, difference_over_time, draw_divergence
+from imolo.inspect.fields import parse_selector
+from imolo.inspect.series import Series, read_series
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
-from imolo.messaging.log import read_log
 from imolo.messaging.log_file import LogEvent, read_events
-
-
-def rewrite(path: Path, events: list[LogEvent]) -> Path:
-    log = lcm.EventLog(str(path), "w", overwrite=True)
-    for event in events:
-        log.write_event(event.utime, event.channel, event.data)
-    log.close()
-    return path
+from imolo_msgs import marker_t, mocap_frame_t, truth_ball_t, actuator_state_t
 
 
 def changed(events: list[LogEvent], channel: str, index: int, field: str, element: int, by: float) -> list[LogEvent]:
@@ -38,7 +32,68 @@ def changed(events: list[LogEvent], channel: str, index: int, field: str, elemen
 def test_run_is_the_same_as_itself(recorded: Recorded, run: Run) -> None:
     code, output, errors = run("diff", recorded.first, recorded.first)
     assert (code, errors) == (0, "")
-    assert "the runs are the same" in output
+    assert "the runs are the same: they are identical, byte by byte" in output
+
+
+def test_figure_of_identical_runs_says_so(recorded: Recorded, run: Run) -> None:
+    code, output, errors = run("diff", recorded.first, recorded.first, "--out", "same.png")
+    assert (code, errors, "the figure is same.png" in output) == (0, "", True)
+    figure = draw_divergence(recorded.first, recorded.first, None)
+    assert "they are identical" in figure.get_suptitle()
+    for axes in figure.axes:
+        assert axes.get_yscale() == "linear"
+        assert not any(line.get_ydata().any() for line in axes.lines)
+
+
+def test_infinite_difference_is_the_largest_and_nan_is_itself() -> None:
+    message, other = actuator_state_t(), actuator_state_t()
+    message.pressure = [float("nan"), 1.0, 2.0, *[0.0] * 5]
+    other.pressure = [float("nan"), 1.5, 2.0, *[0.0] * 4, float("inf")]
+    one, two = (LogEvent(0, 7, "ACTUATOR_STATE", each.encode(), 0) for each in (message, other))
+    (channel,) = compare_runs([one], [two]).channels
+    assert channel.first is not None
+    assert (channel.first.field, channel.first.values) == ("pressure[1]", (1.0, 1.5))
+    assert (channel.largest, channel.largest_field) == (float("inf"), "pressure[7]")
+
+
+def test_messages_with_other_bytes_and_the_same_numbers_differ() -> None:
+    zero, other = actuator_state_t(), actuator_state_t()
+    other.pressure = [-0.0] * 8
+    for one, two in ((zero.encode(), other.encode()), (zero.encode(), zero.encode() + b"x")):
+        (channel,) = compare_runs(*([LogEvent(0, 7, "ACTUATOR_STATE", data, 0)] for data in (one, two))).channels
+        assert channel.equal == 0
+        assert channel.first is not None
+        assert (channel.first.field, channel.first.values) == ("bytes", (one.hex(), two.hex()))
+
+
+def test_element_that_only_one_message_has_is_named() -> None:
+    frame, more = mocap_frame_t(), mocap_frame_t()
+    more.markers = [marker_t()]
+    more.num_markers = 0
+    one = frame.encode()
+    more.num_markers = 1
+    found = compare_runs([LogEvent(0, 7, "MOCAP", one, 0)], [LogEvent(0, 7, "MOCAP", more.encode(), 0)]).first
+    assert found is not None
+    assert (found.field, found.values) == ("num_markers", (0, 1))
+
+
+def test_array_that_is_longer_in_one_message_has_its_first_new_element_named() -> None:
+    short, long = [[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    for one, other, values in ((short, long, (None, 4.0)), (long, short, (4.0, None))):
+        parting = _Parting()
+        _compare_values(one, other, ("predicted_position",), parting)
+        assert parting.first == (("predicted_position", 1, 0), *values)
+
+
+def test_long_messages_of_others_are_compared_and_shown_where_they_part(tmp_path: Path) -> None:
+    paths = []
+    for name, byte in (("a", b"\x01"), ("b", b"\x02")):
+        image = bytes(300_000) + byte + bytes(1000)
+        paths.append(write_events(tmp_path / name, [LogEvent(0, 7, "CAMERA", image, 0)]))
+    assert compare_logs(paths[0], paths[0]).first is None
+    found = str(compare_logs(*paths).first)
+    assert found.startswith("CAMERA message 0 at 0.000007 s, bytes from 300000: '01")
+    assert len(found) < 200
 
 
 @pytest.mark.parametrize(
@@ -48,24 +103,24 @@ def test_run_is_the_same_as_itself(recorded: Recorded, run: Run) -> None:
 def test_diff_names_the_message_field_and_time_that_were_changed(
     recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int
 ) -> None:
-    events = read_events(recorded.first)[0]
+    events = list(read_events(recorded.first))
     own = [event for event in events if event.channel == channel]
-    other = rewrite(tmp_path / "other.lcmlog", changed(events, channel, 40, field, element, 0.25))
+    other = write_events(tmp_path / "other.lcmlog", changed(events, channel, 40, field, element, 0.25))
     result = compare_logs(recorded.first, other)
     assert result.first is not None
-    assert (result.first.channel, result.first.index, result.first.field) == (channel, 40, f"{field}_{element}")
+    assert (result.first.channel, result.first.index, result.first.field) == (channel, 40, f"{field}[{element}]")
     assert result.first.utime == own[40].utime
     (compared,) = (each for each in result.channels if each.channel == channel)
-    assert (compared.equal, compared.largest_field) == (len(own) - 1, f"{field}_{element}")
+    assert (compared.equal, compared.largest_field) == (len(own) - 1, f"{field}[{element}]")
     # The sum is rounded to the spacing of doubles near the pressure.
     assert compared.largest == pytest.approx(0.25, abs=1e-9)
     code, output, _ = run("diff", recorded.first, other)
     assert code == 1
-    assert f"they part at {channel} message 40 at {own[40].utime * 1e-6:.6f} s, {field}_{element}: " in output
+    assert f"they part at {channel} message 40 at {own[40].utime * 1e-6:.6f} s, {field}[{element}]: " in output
 
 
 def test_message_that_only_one_run_has_is_named(recorded: Recorded, tmp_path: Path) -> None:
-    events = read_events(recorded.first)[0]
+    events = list(read_events(recorded.first))
     frames = [event for event in events if event.channel == channels.MOCAP]
     shorter = [event for event in events if event is not frames[-1]]
     for runs, which in (((events, shorter), "first"), ((shorter, events), "second")):
@@ -76,9 +131,9 @@ def test_message_that_only_one_run_has_is_named(recorded: Recorded, tmp_path: Pa
 
 
 def test_other_order_of_the_same_messages_is_told(recorded: Recorded, tmp_path: Path, run: Run) -> None:
-    events = read_events(recorded.first)[0]
+    events = list(read_events(recorded.first))
     ordered = sorted(events, key=lambda event: event.channel)
-    code, output, _ = run("diff", recorded.first, rewrite(tmp_path / "other.lcmlog", ordered))
+    code, output, _ = run("diff", recorded.first, write_events(tmp_path / "other.lcmlog", ordered))
     assert code == 1
     assert "the messages are the same, but not their order" in output
 
@@ -90,16 +145,58 @@ def test_channels_of_others_are_compared_by_their_bytes() -> None:
 
 
 def test_difference_over_time_is_zero_until_the_runs_part(recorded: Recorded) -> None:
-    first, second = read_log(recorded.first), read_log(recorded.second)
-    gap = difference_over_time(first, second, "TRUTH_ROBOT.joint_angle")
+    selector = parse_selector("TRUTH_ROBOT.joint_angle")
+    (first,), (second,) = (read_series(path, [selector]) for path in (recorded.first, recorded.second))
+    gap = difference_over_time(first, second)
     assert gap is not None
-    time, values = gap
-    assert values.shape == (len(time), 8)
-    same = difference_over_time(first, first, "TRUTH_ROBOT.joint_angle")
+    assert gap.values.shape == (len(gap.time), 8)
+    same = difference_over_time(first, first)
     assert same is not None
-    assert not same[1].any()
+    assert not same.values.any()
     # The robot starts from another pose, since the disturbance is another one.
-    assert np.abs(values[0]).max() > 0.0
+    assert np.abs(gap.values[0]).max() > 0.0
+
+
+def line(time: list[float], values: list[float], label: str = "x") -> Series:
+    return Series(np.array(time), np.array(values).reshape(-1, 1), (label,))
+
+
+def test_difference_is_second_minus_first_over_the_time_of_both() -> None:
+    gap = difference_over_time(line([0.0, 1.0, 2.0, 3.0], [5.0, 5.0, 5.0, 5.0]), line([1.0, 3.0], [10.0, 20.0]))
+    assert gap is not None
+    assert (gap.time.tolist(), gap.values[:, 0].tolist()) == ([1.0, 2.0, 3.0], [5.0, 10.0, 15.0])
+
+
+def test_runs_without_a_common_time_or_element_have_no_difference() -> None:
+    one = line([0.0, 1.0], [0.0, 0.0])
+    assert difference_over_time(one, line([1.5, 2.0], [0.0, 0.0])) is None
+    assert difference_over_time(one, line([0.0, 1.0], [0.0, 0.0], "y")) is None
+    assert difference_over_time(one, Series(np.zeros(0), np.zeros((0, 0)), ())) is None
+
+
+@pytest.mark.parametrize(
+    ("gap", "scale"),
+    [(0.0, "linear"), (1e-9, "linear"), ([0.1, 0.5], "linear"), ([0.1, 0.9], "linear"), ([0.1, 1.1], "log")],
+)
+def test_axes_are_linear_where_a_logarithm_says_nothing(
+    recorded: Recorded, tmp_path: Path, gap: float | list[float], scale: str
+) -> None:
+    """The ball of one run is moved by `gap` [mm]: not at all, below what is drawn, within a decade, over more."""
+    events = []
+    ball = [event for event in read_events(recorded.first) if event.channel == "TRUTH_BALL"]
+    for number, event in enumerate(ball):
+        message = truth_ball_t.decode(event.data)
+        low, high = gap if isinstance(gap, list) else (gap, gap)
+        moved = high if number == len(ball) - 1 else low
+        x, y, z = message.true_ball_position
+        message.true_ball_position = [x, y, z + 1e-3 * moved]
+        events.append(event._replace(data=message.encode()))
+    one, other = write_events(tmp_path / "a", ball), write_events(tmp_path / "b", events)
+    axes = draw_divergence(one, other, None).axes[2]
+    assert axes.get_yscale() == scale
+    assert not len(axes.texts)
+    drawn = axes.lines[0].get_ydata()
+    assert np.isfinite(drawn).all()
 
 
 def test_divergence_is_drawn_for_joints_hand_ball_and_pressures(recorded: Recorded, run: Run) -> None:
@@ -108,15 +205,24 @@ def test_divergence_is_drawn_for_joints_hand_ball_and_pressures(recorded: Record
     assert "the figure is parting.png" in output
     assert plt.imread("parting.png").std() > 0.0
     comparison = compare_logs(recorded.first, recorded.second)
-    figure = draw_divergence(read_log(recorded.first), read_log(recorded.second), comparison.first)
+    figure = draw_divergence(recorded.first, recorded.second, comparison.first)
     assert [axes.get_title("left") for axes in figure.axes] == ["joint angles", "right hand", "ball", "pressures"]
     assert all(len(axes.lines) >= 2 for axes in figure.axes)
+    assert [figure.axes[number].get_yscale() for number in (0, 3)] == ["log"] * 2
+    assert figure.axes[0].get_ylabel() == "difference [°]"
+    # The first panel shows degrees: a right angle is 90 of them.
+    assert PANELS[0].factor * np.pi / 2 == pytest.approx(90.0)
+    drawn = [value for line in figure.axes[3].lines[:8] for value in line.get_ydata() if np.isfinite(value)]
+    assert min(drawn) >= FLOOR
+    assert [line.get_linestyle() for line in figure.axes[0].lines[:8]] == ["-"] * len(COLORS) + ["--"] * (
+        8 - len(COLORS)
+    )
 
 
 def test_replayed_planner_says_the_same_to_the_byte(recorded: Recorded, run: Run) -> None:
     code, output, errors = run("replay", recorded.first, "--table", recorded.table, "--method", METHOD)
     assert (code, errors) == (0, "")
-    said = [e for e in read_events(recorded.first)[0] if e.channel in ("PLAN", "BALL_STATE", "ACTUATOR_COMMAND")]
+    said = [e for e in list(read_events(recorded.first)) if e.channel in ("PLAN", "BALL_STATE", "ACTUATOR_COMMAND")]
     assert f"the planner says the same: {len(said)} messages, byte by byte" in output
 
 
@@ -128,10 +234,10 @@ def test_planner_of_another_method_parts_from_the_log(recorded: Recorded, run: R
 
 
 def test_changed_frame_changes_what_the_planner_says_next(recorded: Recorded, tmp_path: Path, run: Run) -> None:
-    events = read_events(recorded.first)[0]
+    events = list(read_events(recorded.first))
     frames = [event for event in events if event.channel == channels.MOCAP]
     kept = [event for event in events if event is not frames[60]]
-    code, output, _ = run("replay", rewrite(tmp_path / "log", kept), "--table", recorded.table, "--method", METHOD)
+    code, output, _ = run("replay", write_events(tmp_path / "log", kept), "--table", recorded.table, "--method", METHOD)
     assert code == 1
     assert f"at {frames[60].utime * 1e-6:.6f} s" in output
 
@@ -141,6 +247,6 @@ def test_replay_refuses_an_unknown_method_and_a_log_without_a_start(
 ) -> None:
     code, _, errors = run("replay", recorded.first, "--table", recorded.table, "--method", "papr")
     assert (code, "did you mean 'paper'?" in errors) == (2, True)
-    events = [event for event in read_events(recorded.first)[0] if event.channel != channels.TRIAL]
-    code, _, errors = run("replay", rewrite(tmp_path / "log", events), "--table", recorded.table)
+    events = [event for event in list(read_events(recorded.first)) if event.channel != channels.TRIAL]
+    code, _, errors = run("replay", write_events(tmp_path / "log", events), "--table", recorded.table)
     assert (code, "holds no start of a trial" in errors) == (2, True)

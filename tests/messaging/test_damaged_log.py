@@ -13,8 +13,8 @@ from imolo.errors import BusError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder, read_log
-from imolo.messaging.log_file import HEADER, SYNC, read_events
-from imolo_msgs import actuator_state_t, mocap_frame_t
+from imolo.messaging.log_file import HEADER, SYNC, Damage, LogEvent, LogReader, read_events
+from imolo_msgs import mocap_frame_t, actuator_state_t
 
 COUNT = 12
 
@@ -37,18 +37,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 @pytest.fixture
 def starts(whole: bytes, tmp_path: Path) -> list[int]:
     (tmp_path / "whole").write_bytes(whole)
-    return [event.offset for event in read_events(tmp_path / "whole")[0]]
+    return [event.offset for event in read_events(tmp_path / "whole")]
 
 
 def numbers(path: Path, content: bytes) -> list[int]:
     path.write_bytes(content)
-    return [event.number for event in read_events(path)[0]]
+    return [event.number for event in read_events(path)]
+
+
+def read(path: Path) -> tuple[list[LogEvent], list[Damage]]:
+    with LogReader(path) as reader:
+        return list(reader), reader.damage
 
 
 def test_whole_log_reads_as_lcm_reads_it(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(whole)
-    events, damage = read_events(path)
+    events, damage = read(path)
     reader = lcm.EventLog(str(path), "r")
     expected = [(event.eventnum, event.timestamp, event.channel, event.data) for event in reader]
     reader.close()
@@ -63,9 +68,9 @@ def test_cut_log_is_read_up_to_the_last_whole_event(whole: bytes, starts: list[i
         complete = sum(start <= length for start in (*starts[1:], len(whole)))
         if complete == 0:
             with pytest.raises(BusError, match="is no LCM log"):
-                read_events(path)
+                read(path)
             continue
-        events, damage = read_events(path)
+        events, damage = read(path)
         assert len(events) == complete
         assert bool(damage) == (length not in starts)
 
@@ -134,7 +139,7 @@ def test_any_damage_costs_no_more_than_it_touches(
     """Overwrite a part of the file: events that end before it or start after it are read, or the file is refused."""
     path = tmp_path_factory.getbasetemp() / "damaged.lcmlog"
     path.write_bytes(whole)
-    events, _ = read_events(path)
+    events, _ = read(path)
     first = data.draw(st.integers(0, len(whole) - 1))
     patch = data.draw(st.binary(min_size=1, max_size=150))[: len(whole) - first]
     path.write_bytes(whole[:first] + patch + whole[first + len(patch) :])
@@ -143,11 +148,11 @@ def test_any_damage_costs_no_more_than_it_touches(
         event for event, end in zip(events, ends, strict=True) if end <= first or event.offset >= first + len(patch)
     ]
     try:
-        read, _ = read_events(path)
+        found, _ = read(path)
         read_log(path)
     except BusError:
         return
-    assert set(untouched) <= set(read)
+    assert set(untouched) <= set(found)
 
 
 @settings(max_examples=200, deadline=None)
@@ -156,7 +161,7 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory,
     path = tmp_path_factory.getbasetemp() / "bytes.lcmlog"
     path.write_bytes(content)
     try:
-        events, damage = read_events(path)
+        events, damage = read(path)
     except BusError:
         return
     # Every byte is either part of an event or told to be damaged.

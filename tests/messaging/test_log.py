@@ -52,7 +52,7 @@ def write(path: Path, *sent: tuple[str, bytes]) -> Path:
     return path
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_log_holds_what_was_sent_when_it_was_sent(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
