@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imolo.campaigns.results import installed_versions
 from imolo.config.experiment import ExperimentConfig
-from imolo.contracts.trial import EventName
 from imolo.contracts.provenance import digest_of_packages, provenance
 from imolo.contracts.registry import BACKENDS, PLANNERS, ROBOTS, TASKS
+from imolo.contracts.trial import EventName
 from imolo.errors import BusError, ResultsError
 from imolo.machine.files import read_bounded, write_whole
 from imolo.messaging.channels import TRIAL

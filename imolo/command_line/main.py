@@ -4,8 +4,8 @@ import logging
 import sys
 import warnings
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any
 from io import TextIOWrapper
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.markup import escape

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from imolo.contracts.trial import EventName
 from imolo.command_line.terminal import plain
+from imolo.contracts.trial import EventName
 from imolo.errors import BusError
 from imolo.inspect.trials import Timeline, TrialEvents
 from imolo.messaging import channels
