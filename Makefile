@@ -40,8 +40,8 @@ messages: $(READY) ## Generate lcmtypes/imolo_msgs from lcmtypes/*.lcm.
 headers: $(READY) ## Write C structs of the valve board's messages to build/board, for firmware.
 	mkdir -p $(HEADERS)/lcm
 	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-no-pubsub --c-cpath $(abspath $(HEADERS)) --c-hpath $(abspath $(HEADERS)) \
-		board_*.lcm valve_command_t.lcm
-	cp $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
+		board_*.lcm actuator_command_t.lcm
+	cp $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__).parents[1])')/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
 
 clean: ## Remove the environment and everything generated.
 	rm -rf .venv build results .mypy_cache .pytest_cache .ruff_cache .hypothesis

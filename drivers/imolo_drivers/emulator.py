@@ -18,8 +18,9 @@ from imolo.errors import BackendError, DivergenceError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.motion import NUM_VALVES, Commands
-from imolo_drivers.board import BoardConfig, BoardState
-from imolo_drivers.board_server import BoardServer, monotonic_utime
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.server import BoardServer, monotonic_utime
 from imolo_drivers.natnet.calibration import Calibration
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.messages import (

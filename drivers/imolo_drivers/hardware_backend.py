@@ -25,12 +25,14 @@ from imolo.contracts.backend import Backend, BackendPlugin, EventName, Trial, Tr
 from imolo.errors import BackendError, MessageError, NatNetError, TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import Commands, to_microseconds
+from imolo.method.motion import NUM_VALVES, Commands, to_microseconds
 from imolo_drivers.address import parse_address
-from imolo_drivers.board import BoardState
-from imolo_drivers.board_client import BoardClient, LinkLostError
-from imolo_drivers.board_server import PORT, monotonic_utime
-from imolo_drivers.handshake import ClientRole
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.client import BoardClient, LinkLostError
+from imolo_drivers.board.command import make_command
+from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.secret import read_secret
+from imolo_drivers.board.server import PORT, monotonic_utime
 from imolo_drivers.hit_detector import HitDetector, HitDetectorConfig
 from imolo_drivers.marker_guard import MarkerGuard, MarkerGuardConfig
 from imolo_drivers.natnet.calibration import Calibration
@@ -52,6 +54,7 @@ class HardwareOptions(Model):
     """Options of the robot; the defaults reach `imolo emulate` on this machine."""
 
     board: str = Field(f"127.0.0.1:{PORT}", description="HOST or HOST:PORT of the valve board")
+    secret: Path | None = Field(None, description="file of mode 0600 with the secret that the board has, too")
     dry_run: bool = Field(False, description="do everything but move: the board keeps its valves vented")
     patience: Positive = Field(5.0, description="for board and cameras to answer before a trial [s]")
     arm_patience: Positive = Field(300.0, description="for a person to arm before a trial [s]")
@@ -188,11 +191,18 @@ class HardwareBackend:
     def _connect(self) -> None:
         options = self._options
         name = f"imolo {os.getpid()} on {socket.gethostname()}"
-        self._board = board = BoardClient(self._address, ClientRole.CONTROLLER, name, options.patience, options.dry_run)
+        self._board = board = BoardClient(
+            *(self._address, ClientRole.CONTROLLER, name, options.patience, options.dry_run),
+            secret=read_secret(options.secret) if options.secret else b"",
+        )
         if board.welcome.board_robot != self._config.robot.name:
             raise BackendError(
                 f"the board at {options.board} moves robot {board.welcome.board_robot!r}, the config names "
                 f"{self._config.robot.name!r}; set robot.name or connect to the right robot"
+            )
+        if board.welcome.num_board_channels != NUM_VALVES:
+            raise BackendError(
+                f"the board at {options.board} has {board.welcome.num_board_channels} channels, the robot {NUM_VALVES}"
             )
         board.synchronise()
         self._cameras = cameras = NatNetClient(options.cameras)
@@ -270,7 +280,7 @@ class HardwareBackend:
             pressure = self._pressure
             pressure.utime = utime
             pressure.pressure_sequence = state.state_number - self._first_state + 1
-            pressure.pressure = list(state.measured_pressure)
+            pressure.pressure = list(state.measured_value)
             self._bus.publish(channels.VALVE_PRESSURE, pressure)
         if state.started_utime and self._onset is not None:
             started = state.started_utime - self._shift(board)
@@ -332,8 +342,8 @@ class HardwareBackend:
         try:
             commands = Commands.from_message(message)
             onset, switches = commands.onset_utime + shift, tuple(time + shift for time in commands.switch_utime)
-            shifted = Commands(onset, switches, commands.target_pressure)
-            board.command(shifted.to_message(message.utime + shift, message.command_sequence))
+            targets = commands.target_pressure.tolist()
+            board.command(make_command(message.command_sequence, onset, switches, targets))
         except (MessageError, struct.error) as error:
             logger.warning("refused a valve command at %d us: %s", message.utime, error)
         except LinkLostError as error:

@@ -16,7 +16,7 @@ from requirements import needs
 
 from imolo.errors import BackendError, MissingToolError
 from imolo.method.motion import NUM_VALVES
-from imolo_drivers.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
+from imolo_drivers.board.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
 
 FULL_SCALE = 1.0e6  # [Pa]
 CLONE_NEWNS = 0x20000
