@@ -93,7 +93,7 @@ def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None)
     client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
     client.wait(lambda: client.state.state_number > 0, PATIENCE)
     session, before = welcome.controller_session, client.state.num_armed
-    client.arm(session, name)
+    client.arm(session, name, welcome.entered_at_welcome)
 
     def is_answered() -> bool:
         return bool(client.state.armed_session == session or client.state.num_armed != before or client.refusals)

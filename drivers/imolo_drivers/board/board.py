@@ -38,6 +38,7 @@ class Board:
     Attributes:
         state: Whether the valves follow commands.
         cause: Why they do not; empty while they do.
+        entered: Since when that is so [µs].
         session: Connection of the controller; 0 if there is none.
         dry_run: Whether nothing moves in this session.
     """
@@ -59,7 +60,7 @@ class Board:
         self._rest = clamp([channel.rest for channel in config.channels], config)
         self._slew_limit = [config.slew_limit(channel) for channel in config.channels]
         self._is_slewing = False
-        self._utime = self._heard = self._entered = utime
+        self._utime = self._heard = self.entered = utime
         self._message = self._new_message()
         self._given: Sequence[float] | None = None
         self._motion: Motion | None = None
@@ -97,7 +98,7 @@ class Board:
         # An operator who arms once more must not stand in for a controller that has fallen silent.
         if self.state is not BoardState.ARMED:
             self._forget_motion()
-            self.state, self.cause, self._entered = BoardState.ARMED, "", utime
+            self.state, self.cause, self.entered = BoardState.ARMED, "", utime
             self._message.num_armed += 1
             self.heard(utime)
         self.tick(utime)
@@ -110,11 +111,6 @@ class Board:
     def latch(self, utime: int, cause: str) -> None:
         """Vent because of a fault, and stay so until a person arms again."""
         self._vent(BoardState.LATCHED, utime, cause)
-
-    @property
-    def is_armed(self) -> bool:
-        """Whether the valves follow commands."""
-        return self.state is BoardState.ARMED
 
     def heard(self, utime: int) -> None:
         """Note a frame of the controller; it shows that the link is there, and feeds no motion."""
@@ -172,7 +168,7 @@ class Board:
         """Return the state; the same message every time."""
         message = self._message
         message.state_number += 1
-        message.board_state, message.state_cause, message.entered_utime = self.state, self.cause, self._entered
+        message.board_state, message.state_cause, message.entered_utime = self.state, self.cause, self.entered
         message.armed_session = self.session if self.state is BoardState.ARMED else 0
         return message
 
@@ -223,7 +219,7 @@ class Board:
     def _vent(self, state: BoardState, utime: int, cause: str) -> None:
         if self.state is BoardState.LATCHED:
             return  # the first fault is the one to know
-        self.state, self.cause, self._entered = state, cause, utime
+        self.state, self.cause, self.entered = state, cause, utime
         self._forget_motion()
         self._utime = utime
         self._give(self._vented)
@@ -238,7 +234,7 @@ class Board:
             self._valves.write(real)
         except BackendError as error:
             # Vents at the next tick, and again until it succeeds.
-            self.state, self.cause, self._entered = BoardState.LATCHED, str(error), self._utime
+            self.state, self.cause, self.entered = BoardState.LATCHED, str(error), self._utime
             self._forget_motion()
             self._message.given_target = self._vented
         else:

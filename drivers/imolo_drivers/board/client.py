@@ -151,10 +151,18 @@ class BoardClient:
         message.announced_kind, message.announced_index, message.announced_seed = kind, index, seed
         self._send(message)
 
-    def arm(self, session: int, person: str) -> None:
-        """Arm the controller of this session, for a person who has said so."""
+    def arm(self, session: int, person: str, seen_utime: int | None = None) -> None:
+        """Arm the controller of this session, for a person who has said so.
+
+        Args:
+            session: Of the controller.
+            person: Who, for the log of the board.
+            seen_utime: When the board came into the state that the person saw [µs]; by default the newest one known.
+        """
         message = board_arm_t()
         message.arm_session, message.arm, message.arm_person = session, 1, quote(person)
+        seen = self.state.entered_utime if self.state.state_number else self.welcome.entered_at_welcome
+        message.arm_seen_utime = seen if seen_utime is None else seen_utime
         sequence = self._sent % SEQUENCES
         message.arm_proof = prove_arming(self._secret, self._challenge.challenge_nonce, sequence, message)
         self._send(message)

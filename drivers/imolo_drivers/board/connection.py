@@ -11,6 +11,7 @@ from imolo_drivers.board.refusal import RefusalCode, RefusedError
 from imolo_msgs import board_hello_t
 
 RECEIVE = 16384  # [bytes] taken at once
+SECOND = 1_000_000  # [µs]
 UNSENT = 65536  # [bytes] kept for a client that does not read, until it is dropped; as many in the kernel
 
 
@@ -21,24 +22,24 @@ class DropError(Exception):
 class Allowance:
     """How often something may happen: a number at once, which grows back at a rate."""
 
-    def __init__(self, rate: float, burst: int, utime: int) -> None:
+    def __init__(self, rate: int, burst: int, utime: int) -> None:
         """Allow `burst` at once, and `rate` [1/s] in the long run."""
         self.rate, self.burst = rate, burst
-        self._left, self._utime = float(burst), utime
+        self._left, self._utime = burst * SECOND, utime  # of one time, in millionths
 
     def take(self, utime: int) -> bool:
         """Return whether it may happen once more at `utime` [µs]."""
-        grown = self._left + max(utime - self._utime, 0) * 1e-6 * self.rate
-        self._left, self._utime = min(grown, self.burst), utime
-        if self._left < 1.0:
+        grown = self._left + max(utime - self._utime, 0) * self.rate
+        self._left, self._utime = min(grown, self.burst * SECOND), utime
+        if self._left < SECOND:
             return False
-        self._left -= 1.0
+        self._left -= SECOND
         return True
 
 
 # [1/s] and at once. A stranger says hello, proves itself, and may disarm; a controller commands at 120 Hz and asks for
 # the time at 50 Hz.
-STRANGER, OPERATOR, CONTROLLER = (1.0, 4), (100.0, 100), (1000.0, 500)
+STRANGER, OPERATOR, CONTROLLER = (1, 4), (100, 100), (1000, 500)
 
 
 class Connection:

@@ -66,7 +66,7 @@ def prove_arming(secret: bytes, nonce: bytes, sequence: int, message: board_arm_
         sequence: Of the frame, as its header holds it.
         message: What is asked for.
     """
-    asked = struct.pack(">Iqb", sequence, message.arm_session, message.arm)
+    asked = struct.pack(">Iqqb", sequence, message.arm_session, message.arm_seen_utime, message.arm)
     return _hmac(secret, b"arm", nonce, asked + message.arm_person.encode())
 
 

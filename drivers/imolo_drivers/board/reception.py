@@ -57,6 +57,7 @@ def make_welcome(config: BoardConfig, board: Board, controller: str) -> board_we
     message.watchdog_time = to_microseconds(config.watchdog)
     message.state_interval = to_microseconds(1.0 / config.state_rate)
     message.is_dry_run = int(board.dry_run)
+    message.entered_at_welcome = board.entered
     message.state_at_welcome, message.cause_at_welcome = board.state, board.cause
     return message
 

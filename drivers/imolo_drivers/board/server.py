@@ -36,7 +36,7 @@ OTHERS_BUDGET = 1000  # [µs] in a turn for all links but the controller's
 OTHERS_PAUSE = 2  # times as long as they took
 LONGEST_WAIT = 0.05  # [s] between two looks at whether to stop
 LONGEST_REASON = 300  # characters
-STRANGERS_LINES = (1.0, 20)  # [1/s] and at once, in the log
+STRANGERS_LINES = (1, 20)  # [1/s] and at once, in the log
 
 
 def monotonic_utime() -> int:
@@ -259,7 +259,7 @@ class BoardServer:
             if connection.role is None:
                 raise DropError(f"{connection.peer} was refused: {refusal}") from refusal
         if not connection.allowance.take(now):
-            reason = f"more than {connection.allowance.rate:g} frames a second"
+            reason = f"more than {connection.allowance.rate} frames a second"
             self._refuse_and_drop(connection, RefusalCode.NOISE, reason)
 
     def _handle(self, connection: Connection, frame: Frame, now: int) -> None:
@@ -325,9 +325,12 @@ class BoardServer:
         if self._secret:
             proof = prove_arming(self._secret, connection.nonce, frame.sequence, message)
             check_proof(message.arm_proof, proof)
-        was_armed = self.board.is_armed
+        entered = self.board.entered
+        if message.arm_seen_utime != entered and message.arm_session == self.board.session:
+            state = self.board.state.name.lower()
+            raise RefusedError(RefusalCode.SESSION, f"the board is {state} since; look again, then arm")
         self.board.arm(message.arm_session, now)
-        if not was_armed:
+        if self.board.entered != entered:
             self._say(f"armed by {quote(message.arm_person)} for {self._controller}")
 
     def _refuse(self, connection: Connection, code: RefusalCode, reason: str, frame: Frame | None) -> None:
