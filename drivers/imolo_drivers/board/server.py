@@ -20,7 +20,7 @@ from imolo.method.motion import to_microseconds
 from imolo_drivers.board.board import Board
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.connection import Allowance, Connection, DropError
-from imolo_drivers.board.framing import Frame, FrameError, FrameType
+from imolo_drivers.board.framing import Frame, FrameError, FrameType, encode_frame
 from imolo_drivers.board.handshake import ClientRole, prove_arming, prove_hello
 from imolo_drivers.board.reception import check_hello, check_proof, make_welcome
 from imolo_drivers.board.refusal import RefusalCode, RefusedError, quote
@@ -74,12 +74,15 @@ class BoardServer:
 
         Raises:
             BackendError: The address cannot be listened on.
+            FrameError: The names of the channels are too long.
             ConfigError: The secret cannot be used, or there is none and the address is not this machine's alone.
         """
         self._config, self._valves, self._say, self._clock, self._on_trial = config, valves, say, clock, on_trial
         self._secret = read_secret(config.secret) if config.secret else b""
         self.is_open = not self._secret
         self.board = Board(config, valves, clock())
+        # What does not fit into a frame is told now, and not to the first client.
+        encode_frame(make_welcome(config, self.board, controller="?" * LONGEST_REASON), 0, 0)
         try:
             self._listener = _listen(address, self.is_open)
         except (BackendError, ConfigError):
