@@ -5,7 +5,7 @@ import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from board_link import LOOPBACK, SETTINGS
+from board_link import LOOPBACK, SETTINGS, eventually
 
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.framing import Frame, FrameDecoder, FrameType, encode_frame
@@ -70,7 +70,7 @@ class BoardByHand:
     """A board that takes a turn when it is told to, on a clock that the test sets."""
 
     def __init__(self, **settings: Any) -> None:
-        self.now = START
+        self.now, self.sensors_block = START, False
         self.said: list[str] = []
         self.valves = SimulatedValves()
         config = BoardConfig.model_validate({**SETTINGS, **settings})
@@ -81,13 +81,18 @@ class BoardByHand:
     def state(self) -> str:
         return self.server.board.state.name
 
+    def turn(self, step: int) -> None:
+        """Take a turn `step` [µs] later; the clock stands still until the thread of the sensors has had its turn."""
+        self.now += step
+        self.server.turn(0.001)
+        assert self.sensors_block or eventually(lambda: not self.server._sensors._is_busy)
+
     def until(self, true: Callable[[], object], step: int = 100) -> None:
         """Take turns, `step` [µs] apart, until something is so."""
         for _ in range(TURNS):
             if true():
                 return
-            self.now += step
-            self.server.turn(0.001)
+            self.turn(step)
         raise AssertionError("it does not happen")
 
     def connect(self, host: str = "127.0.0.1") -> Peer:

@@ -73,8 +73,7 @@ def test_controller_is_heard_between_any_two_frames_of_others() -> None:
         end = board.now + 3 * WATCHDOG
         while board.now < end:
             controller.ask()
-            board.server.turn(0.001)
-            board.now += 5000
+            board.turn(5000)
         assert board.state == "ARMED"
 
 
@@ -120,8 +119,7 @@ def test_stranger_who_says_nothing_or_too_much_is_dropped() -> None:
         board.until(lambda: len(board.server._connections) == 1)
         for byte in encode_frame(make_hello(ClientRole.OPERATOR, "slow"), 0, 0)[:10]:
             slow._link.sendall(bytes([byte]))
-            board.now += 15_000
-            board.server.turn(0.001)
+            board.turn(15_000)
         board.until(lambda: slow.refusals() == ["silence"] and slow.is_closed, step=1000)
 
 

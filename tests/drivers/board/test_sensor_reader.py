@@ -19,7 +19,7 @@ def test_board_vents_in_time_while_the_sensors_block() -> None:
     with board_by_hand() as board:
         armed_controller(board)
         read = board.valves.read
-        board.server._sensors._read = lambda: (release.wait(PATIENCE), read())[1]
+        board.sensors_block, board.server._sensors._read = True, lambda: (release.wait(PATIENCE), read())[1]
         board.until(lambda: board.server._sensors._is_busy)
         heard = board.server.board._heard
         board.until(lambda: board.state == "LATCHED")
@@ -33,12 +33,11 @@ def test_sensors_that_do_not_answer_vent_though_all_else_is_well() -> None:
     release = threading.Event()
     with board_by_hand() as board:
         controller = armed_controller(board)
-        board.server._sensors._read = lambda: (release.wait(PATIENCE), VENTED)[1]
+        board.sensors_block, board.server._sensors._read = True, lambda: (release.wait(PATIENCE), VENTED)[1]
         while board.state == "ARMED":
             controller.ask()
-            board.now += 5000
+            board.turn(5000)
             assert board.now < START + 10 * LIMIT
-            board.server.turn(0.001)
         assert "the sensors have not answered for" in board.server.board.cause
         release.set()
 
