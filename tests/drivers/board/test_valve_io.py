@@ -9,11 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from requirements import needs
+from typer.testing import CliRunner
 
+from imolo.command_line.main import app
 from imolo.errors import BackendError, MissingToolError
 from imolo.method.motion import NUM_VALVES
 from imolo_drivers.board.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
@@ -129,6 +132,18 @@ def test_converters_that_are_taken_away_are_told_and_go_on_when_they_are_back() 
     valves.write([0.0] * NUM_VALVES)
     assert [output(channel) for channel in range(NUM_VALVES)] == [0] * NUM_VALVES
     assert len(valves.read()) == NUM_VALVES
+    valves.close()
+
+
+@with_devices
+def test_command_vents_what_a_board_that_died_has_left(tmp_path: Path) -> None:
+    valves = IioValves(CONVERTERS)
+    valves.write([FULL_SCALE] * NUM_VALVES)
+    config = tmp_path / "board.yaml"
+    config.write_text(yaml.safe_dump({"iio": CONVERTERS.model_dump(mode="json")}))
+    result = CliRunner().invoke(app, ["board", str(config), "--vent"])
+    assert result.exit_code == 0, result.output
+    assert [output(channel) for channel in range(NUM_VALVES)] == [0] * NUM_VALVES
     valves.close()
 
 
