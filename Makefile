@@ -8,7 +8,7 @@ READY := .venv/.ready
 HEADERS ?= build/board
 C_PLANNER ?= build/c_planner
 # The wheel of LCM holds its C library.
-LCM = $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
+LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__).parents[1])')
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
@@ -44,7 +44,7 @@ headers: $(READY) ## Write C structs of the valve board's messages to build/boar
 	mkdir -p $(HEADERS)/lcm
 	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-no-pubsub --c-cpath $(abspath $(HEADERS)) --c-hpath $(abspath $(HEADERS)) \
 		board_*.lcm actuator_command_t.lcm
-	cp $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
+	cp $(LCM)/include/lcm/lcm_coretypes.h $(HEADERS)/lcm
 
 c-planner: $(READY) ## Build examples/c_planner, a planner in C, to build/c_planner.
 	mkdir -p $(C_PLANNER)

@@ -28,15 +28,19 @@ from imolo.messaging.log import Log, read_log
 from imolo.method.commands import Commands
 from imolo.trials.trial import Bystander, run_trial
 from imolo_drivers import hardware_backend
-from imolo_drivers.board import BoardConfig, BoardState
-from imolo_drivers.board_client import BoardClient
-from imolo_drivers.board_server import monotonic_utime
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.client import BoardClient
+from imolo_drivers.board.command import make_command
+from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.server import monotonic_utime
 from imolo_drivers.emulator import DEFINITIONS, MODEL_ID
-from imolo_drivers.handshake import ClientRole
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.messages import Frame, LabelledMarker
 from imolo_drivers.natnet.server import NatNetServer
 from imolo_msgs import board_state_t
+
+NUM_VALVES = 8  # of the default robot
 
 RATE = 120.0  # [Hz] of the commands, one per camera frame
 PHASES = 40  # in a motion; each one has another pressure
@@ -245,7 +249,6 @@ def _play(client: BoardClient, sequence: int, accepted: list[float], switched: l
     onset = monotonic_utime() + client.offset.utime + 20_000
     switches = tuple(onset + PHASE * (phase + 1) for phase in range(PHASES))
     target = np.outer(np.arange(PHASES) % 2 + 1, np.full(NUM_VALVES, 1e5))
-    commands = Commands(onset, switches, target)
     sent: dict[int, int] = {}
     late: dict[int, int] = {}
 
@@ -258,7 +261,7 @@ def _play(client: BoardClient, sequence: int, accepted: list[float], switched: l
 
     while monotonic_utime() + client.offset.utime < switches[-1]:
         sequence += 1
-        message = commands.to_message(0, sequence)
+        message = make_command(sequence, onset, switches, target)
         sent[sequence] = monotonic_utime()
         client.command(message)
         end = time.monotonic() + 1.0 / RATE
@@ -272,13 +275,12 @@ def _play(client: BoardClient, sequence: int, accepted: list[float], switched: l
 def _stop_commanding(client: BoardClient, sequence: int) -> float:
     """Command once, keep the link alive, and return how long the board took to vent [ms]."""
     onset = monotonic_utime() + client.offset.utime
-    commands = Commands(onset, (onset + 1_000_000,), np.full((1, NUM_VALVES), 1e5))
-    client.command(commands.to_message(0, sequence + 1))
+    client.command(make_command(sequence + 1, onset, (onset + 1_000_000,), np.full((1, NUM_VALVES), 1e5)))
     accepted = 0
     while True:
         client.ask_time()
         select.select((client.fileno(),), (), (), 0.005)
         for state in client.poll():
             if state.board_state != BoardState.ARMED:
-                return 1e-3 * (state.measured_utime - accepted)
+                return 1e-3 * (state.entered_utime - accepted)
             accepted = state.accepted_utime

@@ -1,7 +1,7 @@
 """Addresses as a user writes them."""
 
 from imolo.errors import ConfigError
-from imolo_drivers.board_server import PORT
+from imolo_drivers.board.server import PORT
 
 
 def parse_address(text: str, default_port: int = PORT) -> tuple[str, int]:

@@ -8,13 +8,15 @@ import typer
 
 app = typer.Typer()
 
-BOARD = "127.0.0.1:7705"  # `imolo_drivers.board_server.PORT`
+BOARD = "127.0.0.1:7705"  # `imolo_drivers.board.server.PORT`
 MOTIVE_PORT = 1510  # of NatNet's commands
 MOTIVE = f"127.0.0.1:{MOTIVE_PORT}"
+LONGEST_LINE = 400  # characters of what a board says of itself
 EMULATED_TIMESTEP = 2.5e-4  # [s] a third of a core for MuJoCo; a YAML may ask for another one
 
 BoardAddress = Annotated[str, typer.Argument(metavar="HOST[:PORT]", help="Where the valve board listens.")]
 Listen = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen for the planner's computer.")]
+Secret = Annotated[Path | None, typer.Option(metavar="FILE", help="What the board must know, too; mode 0600.")]
 Person = Annotated[str, typer.Option(help="Who, for the log of the board [default: the user].")]
 
 
@@ -23,6 +25,7 @@ def board(
     config: Annotated[Path | None, typer.Argument(help="YAML of the board, see docs/hardware.md.")] = None,
     listen: Listen = BOARD,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but move.")] = False,
+    vent: Annotated[bool, typer.Option("--vent", help="Give all channels 0 and end, after a board that died.")] = False,
 ) -> None:
     """Run the valve board: follow commands, tell pressures, vent when control is lost.
 
@@ -32,53 +35,65 @@ def board(
     from imolo.live.program import Console, in_background, until_stopped
     from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
-    from imolo_drivers.board import BoardConfig
-    from imolo_drivers.board_server import BoardServer
-    from imolo_drivers.valve_io import IioValves, SimulatedValves
+    from imolo_drivers.board.config import BoardConfig
+    from imolo_drivers.board.server import BoardServer
+    from imolo_drivers.board.supervision import Supervisor, every_signal
+    from imolo_drivers.board.valve_io import IioValves, SimulatedValves
 
     chosen = read_model(config, BoardConfig, "name its converters under `iio`") if config else BoardConfig()
     chosen = chosen.model_copy(update={"dry_run": chosen.dry_run or dry_run})
     where = parse_address(listen)
-    with until_stopped() as stop, in_background(Console("board").say) as say:
+    if vent:
         valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
-        server = BoardServer(chosen, valves, where, say)
+        valves.write((0.0,) * len(chosen.channels))
+        typer.echo(f"{chosen.name}: all {len(chosen.channels)} channels vented")
+        return
+    with until_stopped() as stop, every_signal(stop.ask), in_background(Console("board").say) as say:
+        valves = IioValves(chosen.iio) if chosen.iio else SimulatedValves()
+        server, supervisor = BoardServer(chosen, valves, where, say), Supervisor()
         kind = "IIO converters" if chosen.iio else "simulated valves"
         dry = ", dry run" if chosen.dry_run else ""
+        known = "no secret: whoever is on this machine can arm" if server.is_open else "clients must know the secret"
         priority = claim_priority(BOARD_PRIORITY)
-        say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, vented")
-        server.run(lambda: bool(stop))
+        say(f"{chosen.name} on {server.address[0]}:{server.address[1]}, {kind}{dry}, {priority}, {known}, vented")
+        supervisor.ready()
+        server.run(lambda: bool(stop), supervisor.turned)
 
 
 @app.command()
-def arm(where: BoardAddress = BOARD, person: Person = "") -> None:
+def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None) -> None:
     """Allow the controller that is connected now to move the robot; asks before.
 
     Valid for that connection alone: after every loss of the link, and for every trial, a person arms again.
     """
     from imolo.errors import BackendError
     from imolo_drivers.address import parse_address
-    from imolo_drivers.board import BoardState
-    from imolo_drivers.board_client import PATIENCE, BoardClient
-    from imolo_drivers.handshake import ClientRole
+    from imolo_drivers.board.board import BoardState
+    from imolo_drivers.board.client import PATIENCE, BoardClient
+    from imolo_drivers.board.handshake import ClientRole
+    from imolo_drivers.board.refusal import quote
+    from imolo_drivers.board.secret import read_secret
 
     address, name = parse_address(where), person or getpass.getuser()
-    client = BoardClient(address, ClientRole.OPERATOR, name)
+    known = read_secret(secret) if secret else b""
+    client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
     client.close()
     welcome = client.welcome
     state = BoardState(welcome.state_at_welcome).name.lower()
     cause = f" ({welcome.cause_at_welcome})" if welcome.cause_at_welcome else ""
-    typer.echo(
-        f"{welcome.board_name}, {welcome.board_robot}: {state}{cause}{', dry run' if welcome.is_dry_run else ''}"
-    )
+    dry = ", dry run" if welcome.is_dry_run else ""
+    typer.echo(quote(f"{welcome.board_name}, {welcome.board_robot}: {state}{cause}{dry}", LONGEST_LINE))
     if not welcome.controller_session:
         raise BackendError("there is no controller to arm; start it first")
-    typer.echo(f"controller: {welcome.controller_name}; valves up to {welcome.pressure_limit / 1e6:g} MPa")
+    limits = sorted({f"{channel.target_limit:g} {channel.channel_unit}" for channel in welcome.board_channels})
+    channels = f"{welcome.num_board_channels} channels, up to {', '.join(limits)}"
+    typer.echo(quote(f"controller: {welcome.controller_name}; {channels}", LONGEST_LINE))
     if typer.prompt("Is everybody clear of the robot? Type 'arm' to arm it", default="", show_default=False) != "arm":
         raise BackendError("not armed")
-    client = BoardClient(address, ClientRole.OPERATOR, name)
+    client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
     client.wait(lambda: client.state.state_number > 0, PATIENCE)
     session, before = welcome.controller_session, client.state.num_armed
-    client.arm(session, name)
+    client.arm(session, name, welcome.entered_at_welcome)
 
     def is_answered() -> bool:
         return bool(client.state.armed_session == session or client.state.num_armed != before or client.refusals)
@@ -95,24 +110,13 @@ def arm(where: BoardAddress = BOARD, person: Person = "") -> None:
 
 @app.command()
 def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
-    """Vent the robot and take the permission to move back, at once."""
-    from imolo.errors import BackendError
+    """Vent the robot and take the permission to move back, at once; needs no secret."""
     from imolo_drivers.address import parse_address
-    from imolo_drivers.board import BoardState
-    from imolo_drivers.board_client import PATIENCE, BoardClient
-    from imolo_drivers.handshake import ClientRole
+    from imolo_drivers.board.client import disarm as vent
 
     name = person or getpass.getuser()
-    client = BoardClient(parse_address(where), ClientRole.OPERATOR, name)
-    client.disarm(name)
-    known = client.state.state_number
-    vented = client.wait(
-        lambda: client.state.state_number > known and client.state.board_state != BoardState.ARMED, PATIENCE
-    )
-    client.close()
-    if not vented:
-        raise BackendError("the board does not say that it is disarmed; close the air supply")
-    typer.echo(f"{BoardState(client.state.board_state).name.lower()}: {client.state.state_cause}")
+    vent(parse_address(where), name)
+    typer.echo(f"vented: disarmed by {name}")
 
 
 @app.command()
@@ -156,6 +160,7 @@ def emulate(
     calibration: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where Motive's frame lies, as `imolo calibrate` writes it.")
     ] = None,
+    secret: Secret = None,
 ) -> None:
     """Be the robot on the network: valve board and motion capture, with an engine behind them in real time.
 
@@ -165,7 +170,7 @@ def emulate(
     from imolo.live.program import Console, in_background, until_stopped
     from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
-    from imolo_drivers.board import BoardConfig
+    from imolo_drivers.board.config import BoardConfig
     from imolo_drivers.emulator import EmulatedRobot
     from imolo_drivers.natnet.calibration import Calibration
     from imolo_drivers.natnet.config import NatNetServerConfig
@@ -178,7 +183,7 @@ def emulate(
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
     with until_stopped() as stop, in_background(Console("emulate").say) as say:
         frame = Calibration.load(calibration) if calibration else Calibration()
-        robot = EmulatedRobot(config, BoardConfig(), parse_address(listen), cameras, armed, say, frame)
+        robot = EmulatedRobot(config, BoardConfig(secret=secret), parse_address(listen), cameras, armed, say, frame)
         where = robot.board.address
         priority = claim_priority(BOARD_PRIORITY)
         ports = f"board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}"

@@ -20,8 +20,9 @@ from imolo.errors import BackendError, DivergenceError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.commands import Commands
-from imolo_drivers.board import BoardConfig, BoardState
-from imolo_drivers.board_server import BoardServer, monotonic_utime
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.server import BoardServer, monotonic_utime
 from imolo_drivers.natnet.calibration import Calibration
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.messages import (
@@ -32,7 +33,6 @@ from imolo_drivers.natnet.messages import (
     ModelDefinitions,
 )
 from imolo_drivers.natnet.server import NatNetServer
-from imolo_drivers.valve_io import NUM_VALVES
 from imolo_msgs import actuator_state_t, board_trial_t, marker_t, mocap_frame_t, trial_event_t
 
 logger = logging.getLogger(__name__)
@@ -54,11 +54,11 @@ def definitions_of(body: Body) -> ModelDefinitions:
 class EmulatedValves:
     """Converters that lead to the valves of a simulation on the bus `bus`."""
 
-    def __init__(self) -> None:
-        """Lead nowhere before `connect`."""
+    def __init__(self, channels: int) -> None:
+        """Lead nowhere before `connect`; `channels` is their number."""
         self._backend: Backend | None = None
-        self._given: Sequence[float] = (0.0,) * NUM_VALVES
-        self._measured: Sequence[float] = (0.0,) * NUM_VALVES
+        self._given: Sequence[float] = (0.0,) * channels
+        self._measured: Sequence[float] = (0.0,) * channels
         self._sequence = 0
 
     def connect(self, backend: Backend, bus: Bus, catch_up: Callable[[], None]) -> None:
@@ -150,7 +150,7 @@ class EmulatedRobot:
         self._calibration = calibration or Calibration()
         self._frames = self._first_frame = self._announced = 0
         self._waiting: _Scene | None = None
-        self._valves = EmulatedValves()
+        self._valves = EmulatedValves(len(config.simulation.actuators.channels))
         self.motive = NatNetServer(motive, definitions=definitions_of(body_of(config.robot)))
         try:
             self._scene = self._prepare(IDLE)

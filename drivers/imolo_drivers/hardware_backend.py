@@ -29,10 +29,11 @@ from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.commands import Commands, to_microseconds
 from imolo_drivers.address import parse_address
-from imolo_drivers.board import BoardState
-from imolo_drivers.board_client import BoardClient, LinkLostError
-from imolo_drivers.board_server import PORT, monotonic_utime
-from imolo_drivers.handshake import ClientRole
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.client import BoardClient, LinkLostError
+from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.secret import read_secret
+from imolo_drivers.board.server import PORT, monotonic_utime
 from imolo_drivers.hit_detector import HitDetector, HitDetectorConfig
 from imolo_drivers.marker_guard import MarkerGuard, MarkerGuardConfig
 from imolo_drivers.natnet.calibration import Calibration
@@ -54,6 +55,7 @@ class HardwareOptions(Model):
     """Options of the robot; the defaults reach `imolo emulate` on this machine."""
 
     board: str = Field(f"127.0.0.1:{PORT}", description="HOST or HOST:PORT of the valve board")
+    secret: Path | None = Field(None, description="file of mode 0600 with the secret that the board has, too")
     dry_run: bool = Field(False, description="do everything but move: the board keeps its valves vented")
     patience: Positive = Field(5.0, description="for board and cameras to answer before a trial [s]")
     arm_patience: Positive = Field(300.0, description="for a person to arm before a trial [s]")
@@ -191,11 +193,19 @@ class HardwareBackend:
     def _connect(self) -> None:
         options = self._options
         name = f"imolo {os.getpid()} on {socket.gethostname()}"
-        self._board = board = BoardClient(self._address, ClientRole.CONTROLLER, name, options.patience, options.dry_run)
+        self._board = board = BoardClient(
+            *(self._address, ClientRole.CONTROLLER, name, options.patience, options.dry_run),
+            secret=read_secret(options.secret) if options.secret else b"",
+        )
         if board.welcome.board_robot != self._config.robot.name:
             raise BackendError(
                 f"the board at {options.board} moves robot {board.welcome.board_robot!r}, the config names "
                 f"{self._config.robot.name!r}; set robot.name or connect to the right robot"
+            )
+        if board.welcome.num_board_channels != len(self._channels):
+            raise BackendError(
+                f"the board at {options.board} has {board.welcome.num_board_channels} channels, the robot "
+                f"{len(self._channels)}"
             )
         board.synchronise()
         self._cameras = cameras = NatNetClient(options.cameras)
@@ -273,8 +283,8 @@ class HardwareBackend:
             pressure = self._pressure
             pressure.utime = utime
             pressure.state_sequence = state.state_number - self._first_state + 1
-            pressure.num_measured = len(state.measured_pressure)
-            pressure.measured = list(state.measured_pressure)
+            pressure.num_measured = len(state.measured_value)
+            pressure.measured = list(state.measured_value)
             self._bus.publish(channels.ACTUATOR_STATE, pressure)
         if state.started_utime and self._onset is not None:
             started = state.started_utime - self._shift(board)

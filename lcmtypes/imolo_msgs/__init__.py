@@ -8,8 +8,11 @@ from .actuator_command_t import actuator_command_t as actuator_command_t
 from .actuator_state_t import actuator_state_t as actuator_state_t
 from .ball_state_t import ball_state_t as ball_state_t
 from .board_arm_t import board_arm_t as board_arm_t
+from .board_challenge_t import board_challenge_t as board_challenge_t
+from .board_channel_t import board_channel_t as board_channel_t
 from .board_clock_t import board_clock_t as board_clock_t
 from .board_hello_t import board_hello_t as board_hello_t
+from .board_proof_t import board_proof_t as board_proof_t
 from .board_refusal_t import board_refusal_t as board_refusal_t
 from .board_state_t import board_state_t as board_state_t
 from .board_trial_t import board_trial_t as board_trial_t

@@ -8,18 +8,27 @@ from io import BytesIO
 import struct
 
 class board_arm_t(object):
-    """ A person allows the controller of one session to move the robot, or anyone takes that back. """
+    """
+    A person allows the controller of one session to move the robot, or anyone takes that back; the board repeats the
+    latter when it has vented.
+    """
 
-    __slots__ = ["arm_session", "arm", "arm_person"]
+    __slots__ = ["arm_session", "arm_seen_utime", "arm", "arm_person", "arm_proof"]
 
-    __typenames__ = ["int64_t", "int8_t", "string"]
+    __typenames__ = ["int64_t", "int64_t", "int8_t", "string", "byte"]
 
-    __dimensions__ = [None, None, None]
+    __dimensions__ = [None, None, None, None, [32]]
 
     def __init__(self):
         self.arm_session = 0
         """
         As the welcome named it; arming is valid for this connection alone. Not looked at when disarming.
+        LCM Type: int64_t
+        """
+
+        self.arm_seen_utime = 0
+        """
+        entered_utime of the state that the person saw: who has not seen the newest fault does not arm.
         LCM Type: int64_t
         """
 
@@ -35,6 +44,12 @@ class board_arm_t(object):
         LCM Type: string
         """
 
+        self.arm_proof = b""
+        """
+        HMAC-SHA256 that shows that the operator knows the secret, see docs/board-protocol.md. Not looked at when disarming.
+        LCM Type: byte[32]
+        """
+
 
     def encode(self):
         buf = BytesIO()
@@ -43,11 +58,12 @@ class board_arm_t(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">qb", self.arm_session, self.arm))
+        buf.write(struct.pack(">qqb", self.arm_session, self.arm_seen_utime, self.arm))
         __arm_person_encoded = self.arm_person.encode('utf-8')
         buf.write(struct.pack('>I', len(__arm_person_encoded)+1))
         buf.write(__arm_person_encoded)
         buf.write(b"\0")
+        buf.write(bytearray(self.arm_proof[:32]))
 
     @staticmethod
     def decode(data: bytes):
@@ -62,15 +78,16 @@ class board_arm_t(object):
     @staticmethod
     def _decode_one(buf):
         self = board_arm_t()
-        self.arm_session, self.arm = struct.unpack(">qb", buf.read(9))
+        self.arm_session, self.arm_seen_utime, self.arm = struct.unpack(">qqb", buf.read(17))
         __arm_person_len = struct.unpack('>I', buf.read(4))[0]
         self.arm_person = buf.read(__arm_person_len)[:-1].decode('utf-8', 'replace')
+        self.arm_proof = buf.read(32)
         return self
 
     @staticmethod
     def _get_hash_recursive(parents):
         if board_arm_t in parents: return 0
-        tmphash = (0x8ea67f22eec57fd1) & 0xffffffffffffffff
+        tmphash = (0x935ac1dcb738061) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

@@ -8,7 +8,10 @@ from io import BytesIO
 import struct
 
 class board_hello_t(object):
-    """ First frame of whoever connects to the valve board, see docs/board-protocol.md. """
+    """
+    First frame of whoever connects to the valve board, see docs/board-protocol.md. This message and board_refusal_t never
+    change, so that ends of different versions can tell each other.
+    """
 
     __slots__ = ["hello_version", "client_role", "client_name", "wants_dry_run", "num_hello_types", "hello_type", "hello_fingerprint"]
 

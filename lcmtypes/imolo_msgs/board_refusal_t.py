@@ -8,7 +8,7 @@ from io import BytesIO
 import struct
 
 class board_refusal_t(object):
-    """ What the valve board says to a frame that it does not follow. """
+    """ What the valve board says to a frame that it does not follow. This message and board_hello_t never change. """
 
     __slots__ = ["refused_frame_type", "refused_frame_sequence", "refusal_code", "refusal_reason"]
 
@@ -27,7 +27,7 @@ class board_refusal_t(object):
         """ LCM Type: int64_t """
         self.refusal_code = ""
         """
-        One of: version, types, role, busy, not_armed, session, values, times, stale, frame, silence.
+        One of: version, types, secret, role, busy, not_armed, session, values, times, stale, frame, silence, noise.
         LCM Type: string
         """
 

@@ -8,18 +8,21 @@ from io import BytesIO
 import struct
 
 class board_state_t(object):
-    """ What the valve board measures and does, sent at a fixed rate; all times on the board's clock. """
+    """
+    What the valve board measures and does, sent at a fixed rate; all times on the board's clock. Counters of 64 bits
+    never wrap.
+    """
 
-    __slots__ = ["measured_utime", "state_number", "board_state", "armed_session", "num_armed", "phase_in_force", "started_utime", "switched_utime", "accepted_sequence", "accepted_utime", "num_refused", "num_clamped", "given_pressure", "measured_pressure", "state_cause"]
+    __slots__ = ["measured_utime", "state_number", "board_state", "entered_utime", "armed_session", "num_armed", "phase_in_force", "started_utime", "switched_utime", "accepted_sequence", "accepted_utime", "num_refused", "num_clamped", "num_state_channels", "given_target", "measured_value", "state_cause"]
 
-    __typenames__ = ["int64_t", "int32_t", "int8_t", "int64_t", "int32_t", "int32_t", "int64_t", "int64_t", "int32_t", "int64_t", "int32_t", "int32_t", "double", "double", "string"]
+    __typenames__ = ["int64_t", "int64_t", "int8_t", "int64_t", "int64_t", "int64_t", "int32_t", "int64_t", "int64_t", "int32_t", "int64_t", "int64_t", "int64_t", "int32_t", "double", "double", "string"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, [8], [8], None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, ["num_state_channels"], ["num_state_channels"], None]
 
     VENTED = 0
     """ Valves are vented until a person arms. """
     ARMED = 1
-    """ Valves follow commands, and hold the rest pressures without one. """
+    """ Valves follow commands, and hold their rest targets without one. """
     LATCHED = 2
     """ Vented by a fault, until a person arms again. """
 
@@ -31,13 +34,15 @@ class board_state_t(object):
         """
 
         self.state_number = 0
-        """ LCM Type: int32_t """
+        """ LCM Type: int64_t """
         self.board_state = 0
         """
-        One of the constants above.
+        One of the constants above, and when the board came into this state [us].
         LCM Type: int8_t
         """
 
+        self.entered_utime = 0
+        """ LCM Type: int64_t """
         self.armed_session = 0
         """
         The connection that may move the robot now; 0 if none may.
@@ -47,7 +52,7 @@ class board_state_t(object):
         self.num_armed = 0
         """
         How often the connected controller has been armed; above 0 and not armed: a fault or a person ended it.
-        LCM Type: int32_t
+        LCM Type: int64_t
         """
 
         self.phase_in_force = 0
@@ -70,7 +75,7 @@ class board_state_t(object):
 
         self.accepted_sequence = 0
         """
-        command_sequence of the newest accepted command, and when it came [us]; 0 before one.
+        command_sequence of the newest accepted command, and when it came [us]; both 0 before one.
         LCM Type: int32_t
         """
 
@@ -78,24 +83,22 @@ class board_state_t(object):
         """ LCM Type: int64_t """
         self.num_refused = 0
         """
-        Commands of this session that were refused, and that asked for more than pressure_limit.
-        LCM Type: int32_t
+        Commands of this session that were refused, and that asked for more than target_limit.
+        LCM Type: int64_t
         """
 
         self.num_clamped = 0
+        """ LCM Type: int64_t """
+        self.num_state_channels = 0
         """ LCM Type: int32_t """
-        self.given_pressure = [ 0.0 for dim0 in range(8) ]
+        self.given_target = []
         """
-        Target gauge pressure of the valves 1..8, as given to them [Pa].
-        LCM Type: double[8]
-        """
-
-        self.measured_pressure = [ 0.0 for dim0 in range(8) ]
-        """
-        Gauge pressure behind the valves 1..8 [Pa].
-        LCM Type: double[8]
+        Target of each channel, as given to it, and what is measured behind it, in the channel's unit.
+        LCM Type: double[num_state_channels]
         """
 
+        self.measured_value = []
+        """ LCM Type: double[num_state_channels] """
         self.state_cause = ""
         """
         Why it vented or latched; empty while armed.
@@ -110,9 +113,9 @@ class board_state_t(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">qibqiiqqiqii", self.measured_utime, self.state_number, self.board_state, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped))
-        buf.write(struct.pack('>8d', *self.given_pressure[:8]))
-        buf.write(struct.pack('>8d', *self.measured_pressure[:8]))
+        buf.write(struct.pack(">qqbqqqiqqiqqqi", self.measured_utime, self.state_number, self.board_state, self.entered_utime, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped, self.num_state_channels))
+        buf.write(struct.pack('>%dd' % self.num_state_channels, *self.given_target[:self.num_state_channels]))
+        buf.write(struct.pack('>%dd' % self.num_state_channels, *self.measured_value[:self.num_state_channels]))
         __state_cause_encoded = self.state_cause.encode('utf-8')
         buf.write(struct.pack('>I', len(__state_cause_encoded)+1))
         buf.write(__state_cause_encoded)
@@ -131,9 +134,9 @@ class board_state_t(object):
     @staticmethod
     def _decode_one(buf):
         self = board_state_t()
-        self.measured_utime, self.state_number, self.board_state, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped = struct.unpack(">qibqiiqqiqii", buf.read(65))
-        self.given_pressure = struct.unpack('>8d', buf.read(64))
-        self.measured_pressure = struct.unpack('>8d', buf.read(64))
+        self.measured_utime, self.state_number, self.board_state, self.entered_utime, self.armed_session, self.num_armed, self.phase_in_force, self.started_utime, self.switched_utime, self.accepted_sequence, self.accepted_utime, self.num_refused, self.num_clamped, self.num_state_channels = struct.unpack(">qqbqqqiqqiqqqi", buf.read(93))
+        self.given_target = struct.unpack('>%dd' % self.num_state_channels, buf.read(self.num_state_channels * 8))
+        self.measured_value = struct.unpack('>%dd' % self.num_state_channels, buf.read(self.num_state_channels * 8))
         __state_cause_len = struct.unpack('>I', buf.read(4))[0]
         self.state_cause = buf.read(__state_cause_len)[:-1].decode('utf-8', 'replace')
         return self
@@ -141,7 +144,7 @@ class board_state_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if board_state_t in parents: return 0
-        tmphash = (0xeb43389d96206055) & 0xffffffffffffffff
+        tmphash = (0x39cf2541d46897a9) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

@@ -7,14 +7,16 @@ DO NOT MODIFY BY HAND!!!!
 from io import BytesIO
 import struct
 
+import imolo_msgs
+
 class board_welcome_t(object):
-    """ Answer of the valve board to a board_hello_t that it accepts. """
+    """ Answer of the valve board to a client that it accepts. """
 
-    __slots__ = ["welcome_version", "board_name", "board_robot", "controller_session", "controller_name", "num_channels", "pressure_limit", "rise_limit", "watchdog_time", "state_interval", "is_dry_run", "state_at_welcome", "cause_at_welcome"]
+    __slots__ = ["welcome_version", "board_name", "board_robot", "controller_session", "controller_name", "num_board_channels", "board_channels", "watchdog_time", "state_interval", "is_dry_run", "state_at_welcome", "entered_at_welcome", "cause_at_welcome"]
 
-    __typenames__ = ["int32_t", "string", "string", "int64_t", "string", "int32_t", "double", "double", "int64_t", "int64_t", "int8_t", "int8_t", "string"]
+    __typenames__ = ["int32_t", "string", "string", "int64_t", "string", "int32_t", "imolo_msgs.board_channel_t", "int64_t", "int64_t", "int8_t", "int8_t", "int64_t", "string"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None]
+    __dimensions__ = [None, None, None, None, None, None, ["num_board_channels"], None, None, None, None, None, None]
 
     def __init__(self):
         self.welcome_version = 0
@@ -31,20 +33,10 @@ class board_welcome_t(object):
 
         self.controller_name = ""
         """ LCM Type: string """
-        self.num_channels = 0
+        self.num_board_channels = 0
         """ LCM Type: int32_t """
-        self.pressure_limit = 0.0
-        """
-        Highest gauge pressure that a valve is given; higher ones are clamped [Pa].
-        LCM Type: double
-        """
-
-        self.rise_limit = 0.0
-        """
-        Fastest rise of a target [Pa/s]; 0 where it is not limited.
-        LCM Type: double
-        """
-
+        self.board_channels = []
+        """ LCM Type: imolo_msgs.board_channel_t[num_board_channels] """
         self.watchdog_time = 0
         """
         Longest time without a valid command while a motion runs, and without any frame of the controller while armed [us].
@@ -65,10 +57,12 @@ class board_welcome_t(object):
 
         self.state_at_welcome = 0
         """
-        One of the constants of board_state_t.
+        One of the constants of board_state_t, and its entered_utime [us].
         LCM Type: int8_t
         """
 
+        self.entered_at_welcome = 0
+        """ LCM Type: int64_t """
         self.cause_at_welcome = ""
         """
         Why it is in this state.
@@ -97,7 +91,11 @@ class board_welcome_t(object):
         buf.write(struct.pack('>I', len(__controller_name_encoded)+1))
         buf.write(__controller_name_encoded)
         buf.write(b"\0")
-        buf.write(struct.pack(">iddqqbb", self.num_channels, self.pressure_limit, self.rise_limit, self.watchdog_time, self.state_interval, self.is_dry_run, self.state_at_welcome))
+        buf.write(struct.pack(">i", self.num_board_channels))
+        for i0 in range(self.num_board_channels):
+            assert self.board_channels[i0]._get_packed_fingerprint() == imolo_msgs.board_channel_t._get_packed_fingerprint()
+            self.board_channels[i0]._encode_one(buf)
+        buf.write(struct.pack(">qqbbq", self.watchdog_time, self.state_interval, self.is_dry_run, self.state_at_welcome, self.entered_at_welcome))
         __cause_at_welcome_encoded = self.cause_at_welcome.encode('utf-8')
         buf.write(struct.pack('>I', len(__cause_at_welcome_encoded)+1))
         buf.write(__cause_at_welcome_encoded)
@@ -124,7 +122,11 @@ class board_welcome_t(object):
         self.controller_session = struct.unpack(">q", buf.read(8))[0]
         __controller_name_len = struct.unpack('>I', buf.read(4))[0]
         self.controller_name = buf.read(__controller_name_len)[:-1].decode('utf-8', 'replace')
-        self.num_channels, self.pressure_limit, self.rise_limit, self.watchdog_time, self.state_interval, self.is_dry_run, self.state_at_welcome = struct.unpack(">iddqqbb", buf.read(38))
+        self.num_board_channels = struct.unpack(">i", buf.read(4))[0]
+        self.board_channels = []
+        for i0 in range(self.num_board_channels):
+            self.board_channels.append(imolo_msgs.board_channel_t._decode_one(buf))
+        self.watchdog_time, self.state_interval, self.is_dry_run, self.state_at_welcome, self.entered_at_welcome = struct.unpack(">qqbbq", buf.read(26))
         __cause_at_welcome_len = struct.unpack('>I', buf.read(4))[0]
         self.cause_at_welcome = buf.read(__cause_at_welcome_len)[:-1].decode('utf-8', 'replace')
         return self
@@ -132,7 +134,8 @@ class board_welcome_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if board_welcome_t in parents: return 0
-        tmphash = (0x7edd3c3768b3036e) & 0xffffffffffffffff
+        newparents = parents + [board_welcome_t]
+        tmphash = (0xc0ab54cc25f01a24+ imolo_msgs.board_channel_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

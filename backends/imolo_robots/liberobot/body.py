@@ -175,25 +175,3 @@ def with_flat_sole(urdf_path: Path, out_path: Path) -> Path:
             ElementTree.SubElement(ElementTree.SubElement(new, "geometry"), "box", size=size)
     tree.write(out_path, encoding="unicode", xml_declaration=True)
     return out_path
-
-
-# KIT-SHIM
-from imolo.config.simulation import BallConfig as _BC  # noqa
-from imolo.contracts.engine import Ball as _Ball  # noqa
-
-JOINT_LIMITS = liberobot(LiberobotOptions(name="liberobot")).joint_limits
-
-
-def foam_ball(position=(5.0, 0.0, 1.1), velocity=(0.0, 0.0, 0.0)):
-    b = _BC()
-    return _Ball(b.radius, b.mass, 0.4 * b.mass * b.radius**2, position, velocity)
-
-
-def standing_box():
-    return STANDING_BOX
-
-
-def ready_scene(*, ball=None, timestep=1e-4, friction=0.8, restitution=0.3, joint_offset=None, urdf=None):
-    return liberobot(LiberobotOptions(name="liberobot")).scene(
-        ball or foam_ball(), timestep, friction, restitution, joint_offset
-    )

@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from imolo.method.commands import Commands
-from imolo_drivers.board import BoardConfig
-from imolo_drivers.board_client import BoardClient
-from imolo_drivers.board_server import BoardServer, monotonic_utime
-from imolo_drivers.handshake import ClientRole
-from imolo_drivers.valve_io import SimulatedValves
+from imolo_drivers.board.client import BoardClient
+from imolo_drivers.board.command import make_command
+from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.server import BoardServer, monotonic_utime
+from imolo_drivers.board.valve_io import SimulatedValves
 from imolo_msgs import actuator_command_t
 
 PATIENCE = 10.0  # [s] for what must happen at all; how fast it is is measured in benchmarks/hardware.py
 LOOPBACK = ("127.0.0.1", 0)
+NUM_VALVES = 8  # of the default robot
+VENTED = (0.0,) * NUM_VALVES
+SETTINGS = {"rise_limit": 0.0}  # whose default is on: most claims are about what is given at once
 
 
 class RunningBoard:
@@ -61,7 +64,7 @@ class RunningBoard:
 
 @contextlib.contextmanager
 def running_board(address: tuple[str, int] = LOOPBACK, **settings: Any) -> Iterator[RunningBoard]:
-    board = RunningBoard(BoardConfig(**settings), address)
+    board = RunningBoard(BoardConfig.model_validate({**SETTINGS, **settings}), address)
     try:
         yield board
     finally:
@@ -101,25 +104,31 @@ def eventually(true: Callable[[], bool]) -> bool:
     return True
 
 
-def command(onset: int, sequence: int = 1, pressure: float = 3e5, lengths: tuple[int, ...] = (100_000, 400_000)) -> Any:
+def command(
+    onset: int,
+    sequence: int = 1,
+    pressure: float = 3e5,
+    lengths: tuple[int, ...] = (100_000, 400_000),
+    num_channels: int = NUM_VALVES,
+) -> Any:
     """Return commands whose phase i has i times `pressure` everywhere, on the clock of the board."""
     switches = np.cumsum([onset, *lengths])[1:].tolist()
-    target = np.outer(np.arange(1, len(lengths) + 1), np.full(NUM_VALVES, pressure))
-    return Commands(onset, tuple(switches), target).to_message(onset, sequence)
+    target = np.outer(np.arange(1, len(lengths) + 1), np.full(num_channels, pressure))
+    return make_command(sequence, onset, switches, target.tolist())
 
 
 def bad_command(onset: int, fault: str, sequence: int = 2) -> actuator_command_t:
     message = command(onset, sequence)
     if fault == "not finite":
-        message.target_pressure[1][2] = float("nan")
+        message.target[1][2] = float("nan")
     elif fault == "5 MPa":
-        message.target_pressure[1][2] = 5e6
+        message.target[1][2] = 5e6
     elif fault == "negative":
-        message.target_pressure[0][0] = -1.0
+        message.target[0][0] = -1.0
     elif fault == "backwards":
         message.switch_utime.reverse()
     elif fault == "no phases":
-        message.num_phases, message.switch_utime, message.target_pressure = 0, [], []
+        message.num_phases, message.switch_utime, message.target = 0, [], []
     elif fault == "another clock":
         message.switch_utime[-1] += 3_600_000_000
     return message

@@ -1,25 +1,27 @@
 /* The link to the valve board as firmware would have it: docs/board-protocol.md and `make headers`, no library.
  *
  * Reads frames from the standard input, decodes each message into its struct, encodes that anew and writes the frame.
- * Tells of each command what the valves are to do. Ends with 1 at the first damaged frame, saying why.
+ * Tells of each command what the channels are to do. Ends with 1 at the first damaged frame, saying why.
  */
 #include <inttypes.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "imolo_msgs_actuator_command_t.h"
 #include "imolo_msgs_board_arm_t.h"
+#include "imolo_msgs_board_challenge_t.h"
 #include "imolo_msgs_board_clock_t.h"
 #include "imolo_msgs_board_hello_t.h"
+#include "imolo_msgs_board_proof_t.h"
 #include "imolo_msgs_board_refusal_t.h"
 #include "imolo_msgs_board_state_t.h"
 #include "imolo_msgs_board_trial_t.h"
 #include "imolo_msgs_board_welcome_t.h"
-#include "imolo_msgs_actuator_command_t.h"
 
 #define HEADER 24
 #define SIGNED 20 /* bytes of the header that the CRC is taken over */
-#define LONGEST 4096
+#define LONGEST 16384
 
 static uint32_t crc32(uint32_t crc, const uint8_t *data, size_t length)
 {
@@ -51,8 +53,8 @@ static void tell(const imolo_msgs_actuator_command_t *command)
     fprintf(stderr, "%" PRId32 " %" PRId64 " %" PRId32, command->command_sequence, command->onset_utime, command->num_phases);
     for (int phase = 0; phase < command->num_phases; phase++) {
         fprintf(stderr, " %" PRId64, command->switch_utime[phase]);
-        for (int valve = 0; valve < 8; valve++)
-            fprintf(stderr, " %.17g", command->target_pressure[phase][valve]);
+        for (int channel = 0; channel < command->num_channels; channel++)
+            fprintf(stderr, " %.17g", command->target[phase][channel]);
     }
     fprintf(stderr, "\n");
 }
@@ -93,6 +95,8 @@ int main(void)
         case 6: REPEAT(board_state_t, NOTHING); break;
         case 7: REPEAT(board_clock_t, NOTHING); break;
         case 8: REPEAT(board_trial_t, NOTHING); break;
+        case 9: REPEAT(board_challenge_t, NOTHING); break;
+        case 10: REPEAT(board_proof_t, NOTHING); break;
         default: return fail("type");
         }
 

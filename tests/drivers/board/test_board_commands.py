@@ -17,10 +17,10 @@ from typer.testing import CliRunner
 from imolo.command_line.main import app
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
-from imolo_drivers.board_client import BoardClient
-from imolo_drivers.board_server import PORT
+from imolo_drivers.board.client import BoardClient
+from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.server import PORT
 from imolo_drivers.commands import BOARD
-from imolo_drivers.handshake import ClientRole
 
 PATIENT = {"watchdog": 1.0, "silence": 5.0}
 runner = CliRunner()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from messaging.messages import messages
 from requirements import needs
 
-from imolo_drivers.framing import PAYLOADS, FrameType, encode_frame
+from imolo_drivers.board.framing import PAYLOADS, FrameType, encode_frame
 
 ROOT = Path(__file__).parents[3]
 SOURCE = Path(__file__).with_name("firmware.c")
@@ -28,7 +28,7 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
     strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}"]
     program = folder / "firmware"
     sources = sorted(folder.glob("*.c"))
-    assert len(sources) == len(PAYLOADS)
+    assert len(sources) == len(PAYLOADS) + 1  # a channel is a part of the welcome
     done = subprocess.run(
         ["gcc", *strict, "-o", program, SOURCE, *sources], capture_output=True, text=True, timeout=PATIENCE
     )
@@ -55,12 +55,12 @@ def test_firmware_finds_the_targets_of_the_valves(firmware: Path) -> None:
     assert list(map(int, told[:3])) == [7, 1_000_000, 2]
     phases = [told[3 + 9 * phase : 12 + 9 * phase] for phase in range(2)]
     assert [int(switch) for switch, *_ in phases] == list(sent.switch_utime)
-    assert [list(map(float, targets)) for _, *targets in phases] == [list(row) for row in sent.target_pressure]
+    assert [list(map(float, targets)) for _, *targets in phases] == [list(row) for row in sent.target]
 
 
 @pytest.mark.parametrize(
     ("start", "stop", "byte", "complaint"),
-    [(0, None, b"X", b"magic"), (5, None, b"\x09", b"crc"), (40, None, b"X", b"crc"), (0, 60, b"I", b"length")],
+    [(0, None, b"X", b"magic"), (5, None, b"\x0b", b"crc"), (40, None, b"X", b"crc"), (0, 60, b"I", b"length")],
 )
 def test_firmware_refuses_a_damaged_frame(
     firmware: Path, start: int, stop: int | None, byte: bytes, complaint: bytes

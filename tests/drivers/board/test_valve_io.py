@@ -9,13 +9,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from requirements import needs
+from typer.testing import CliRunner
 
+from imolo.command_line.main import app
 from imolo.errors import BackendError, MissingToolError
-from imolo_drivers.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
+from imolo_drivers.board.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
 
 FULL_SCALE = 1.0e6  # [Pa]
 CLONE_NEWNS = 0x20000
@@ -131,6 +134,18 @@ def test_converters_that_are_taken_away_are_told_and_go_on_when_they_are_back() 
     valves.close()
 
 
+@with_devices
+def test_command_vents_what_a_board_that_died_has_left(tmp_path: Path) -> None:
+    valves = IioValves(CONVERTERS)
+    valves.write([FULL_SCALE] * NUM_VALVES)
+    config = tmp_path / "board.yaml"
+    config.write_text(yaml.safe_dump({"iio": CONVERTERS.model_dump(mode="json")}))
+    result = CliRunner().invoke(app, ["board", str(config), "--vent"])
+    assert result.exit_code == 0, result.output
+    assert [output(channel) for channel in range(NUM_VALVES)] == [0] * NUM_VALVES
+    valves.close()
+
+
 @pytest.mark.parametrize(
     ("wrapper", "remedy"),
     [
@@ -139,6 +154,8 @@ def test_converters_that_are_taken_away_are_told_and_go_on_when_they_are_back() 
         ("import ctypes; ctypes.CDLL(None).iio_get_backends_count", "apt-get install libiio0"),
     ],
 )
+
+NUM_VALVES = 8  # of the default robot
 def test_missing_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrapper: str, remedy: str) -> None:
     (tmp_path / "iio.py").write_text(wrapper)
     monkeypatch.syspath_prepend(tmp_path)

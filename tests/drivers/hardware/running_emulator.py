@@ -8,7 +8,7 @@ from typing import Any
 import played_trials as trials
 
 from imolo.config.experiment import ExperimentConfig
-from imolo_drivers.board import BoardConfig
+from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.calibration import Calibration
 from imolo_drivers.natnet.config import NatNetServerConfig

@@ -19,8 +19,9 @@ from imolo.messaging.log import Log, read_log
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.trials.trainer import MotionPlayer
 from imolo.trials.trial import Controller, run_trial
-from imolo_drivers.board import BoardConfig
-from imolo_drivers.board_server import BoardServer, monotonic_utime
+from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.server import BoardServer, monotonic_utime
+from imolo_drivers.board.valve_io import SimulatedValves
 from imolo_drivers.natnet.calibration import Calibration
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.messages import (
@@ -31,7 +32,6 @@ from imolo_drivers.natnet.messages import (
     ModelDefinitions,
 )
 from imolo_drivers.natnet.server import NatNetServer
-from imolo_drivers.valve_io import SimulatedValves
 from imolo_msgs import board_trial_t
 
 PATIENCE = 10.0  # [s]

@@ -30,7 +30,7 @@ from imolo.messaging import channels
 from imolo.trials.trainer import START_MARGIN
 from imolo.trials.trial import Bystander
 from imolo_drivers import hardware_backend
-from imolo_drivers.board_server import monotonic_utime
+from imolo_drivers.board.server import monotonic_utime
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.encoder import encode
 from imolo_drivers.natnet.messages import Frame, LabelledMarker

@@ -21,7 +21,7 @@ from imolo.method.motion import MotionTemplate, Theta
 from imolo.trials.recordings import hand_samples
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
 from imolo.trials.trial import Bystander, Controller, run_trial
-from imolo_drivers.board import BoardConfig
+from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.config import NatNetServerConfig
 

@@ -29,9 +29,9 @@ from imolo.live.program import Console, Stop
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
+from imolo.method.motion import NUM_VALVES
 from imolo.trials.trainer import START_MARGIN
 from imolo.trials.trial import Bystander
-from imolo_drivers.board import VENTED_PRESSURE
 from imolo_drivers.natnet.messages import LabelledMarker
 from imolo_msgs import mocap_frame_t
 
@@ -126,7 +126,7 @@ def test_dry_run_moves_nothing(tmp_path: Path) -> None:
     with scripted_robot() as robot:
         log = play(config(robot, dry_run=True), tmp_path / "log", player(), START_MARGIN + 0.2)
     assert EventName.ONSET in events(log)
-    assert {tuple(message.pressure) for message in log.messages[channels.ACTUATOR_STATE]} == {VENTED_PRESSURE}
+    assert {tuple(message.pressure) for message in log.messages[channels.VALVE_PRESSURE]} == {(0.0,) * NUM_VALVES}
 
 
 def test_robot_is_vented_and_disarmed_after_the_trial(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_robot_is_vented_and_disarmed_after_the_trial(tmp_path: Path) -> None:
         play(config(robot), tmp_path / "again", Bystander(), 0.05, TrialKind.THROW)
         assert robot.server.board.state.name == "VENTED"
         assert robot.server.board.cause == "disarmed by the end of the trial"
-        assert robot.valves.pressure == VENTED_PRESSURE
+        assert robot.valves.pressure == (0.0,) * NUM_VALVES
 
 
 # What goes wrong in a trial.
@@ -147,13 +147,13 @@ def test_lost_board_voids_the_trial_and_the_log_is_kept(tmp_path: Path) -> None:
 
         def cut(utime: int) -> None:
             if utime > 150_000:
-                for connection in list(robot.server._connections.values()):
+                for connection in list(robot.server._connections):
                     connection.link.shutdown(2)
 
         with pytest.raises(TrialVoidError, match="the link to the valve board"):
             play(config(robot), path, player(), 1.0, after_slice=cut)
     assert "is lost" in void(path)
-    assert robot.valves.pressure == VENTED_PRESSURE
+    assert robot.valves.pressure == (0.0,) * NUM_VALVES
 
 
 def test_person_who_disarms_ends_the_trial(tmp_path: Path) -> None:

@@ -8,14 +8,17 @@ from collections.abc import Callable
 from typing import Any
 
 from imolo.errors import BackendError
-from imolo_drivers.board_server import RECEIVE, monotonic_utime
-from imolo_drivers.framing import VERSION, Frame, FrameDecoder, FrameError, FrameType, encode_frame
-from imolo_drivers.handshake import ClientRole, make_hello
-from imolo_drivers.valve_io import NUM_VALVES
+from imolo_drivers.board.connection import RECEIVE
+from imolo_drivers.board.framing import SEQUENCES, Frame, FrameDecoder, FrameError, FrameType, encode_frame
+from imolo_drivers.board.handshake import NO_PROOF, ClientRole, make_hello, prove_arming, prove_hello
+from imolo_drivers.board.refusal import quote
+from imolo_drivers.board.server import monotonic_utime
 from imolo_msgs import (
     actuator_command_t,
     board_arm_t,
+    board_challenge_t,
     board_clock_t,
+    board_proof_t,
     board_refusal_t,
     board_state_t,
     board_trial_t,
@@ -90,6 +93,7 @@ class BoardClient:
         patience: float = PATIENCE,
         dry_run: bool = False,
         clock: Callable[[], int] = monotonic_utime,
+        secret: bytes = b"",
     ) -> None:
         """Connect and shake hands; try again with growing pauses while nobody answers.
 
@@ -100,6 +104,7 @@ class BoardClient:
             patience: How long to try [s].
             dry_run: Whether nothing is to move.
             clock: Our own [µs].
+            secret: What the board must know, too; empty for a board without.
 
         Raises:
             BackendError: Nobody answers, or the board refuses.
@@ -107,13 +112,14 @@ class BoardClient:
         self.offset, self.state, self.jumped = ClockOffset(), board_state_t(), 0
         self.announced = False
         self.refusals: deque[board_refusal_t] = deque(maxlen=100)
-        self._clock, self._address = clock, address
+        self._clock, self._address, self._secret = clock, address, secret
+        self._challenge = board_challenge_t()
         self._states: list[board_state_t] = []
         self._decoder = FrameDecoder()
         self._sent = 0
         self._link = _connect(address, patience)
         try:
-            self.welcome = self._shake_hands(role, name, dry_run)
+            self.welcome = self._shake_hands(role, quote(name), dry_run)
         except BackendError:
             self._link.close()
             raise
@@ -145,13 +151,25 @@ class BoardClient:
         message.announced_kind, message.announced_index, message.announced_seed = kind, index, seed
         self._send(message)
 
-    def arm(self, session: int, person: str) -> None:
-        """Arm the controller of this session, for a person who has said so."""
-        self._ask_to_arm(session, 1, person)
+    def arm(self, session: int, person: str, seen_utime: int | None = None) -> None:
+        """Arm the controller of this session, for a person who has said so.
+
+        Args:
+            session: Of the controller.
+            person: Who, for the log of the board.
+            seen_utime: When the board came into the state that the person saw [µs]; by default the newest one known.
+        """
+        message = board_arm_t()
+        message.arm_session, message.arm, message.arm_person = session, 1, quote(person)
+        seen = self.state.entered_utime if self.state.state_number else self.welcome.entered_at_welcome
+        message.arm_seen_utime = seen if seen_utime is None else seen_utime
+        sequence = self._sent % SEQUENCES
+        message.arm_proof = prove_arming(self._secret, self._challenge.challenge_nonce, sequence, message)
+        self._send(message)
 
     def disarm(self, person: str) -> None:
         """Vent and disarm."""
-        self._ask_to_arm(0, 0, person)
+        self._send(make_disarm(person))
 
     def command(self, message: actuator_command_t) -> None:
         """Send commands, their times on the board's clock."""
@@ -210,33 +228,34 @@ class BoardClient:
             self.jumped = max(self.jumped, self.offset.add(*times, received))
         elif frame.type is FrameType.REFUSAL:
             self.refusals.append(message)
+        elif frame.type is FrameType.CHALLENGE:
+            self._challenge = message
         elif frame.type is FrameType.WELCOME:
             self.welcome = message
         elif frame.type is FrameType.TRIAL:
             self.announced = True
-        else:
+        elif frame.type is not FrameType.ARM:  # a disarming that has been done
             raise self._lost(f"the board sent a frame of type {frame.type.name.lower()}")
 
     def _shake_hands(self, role: ClientRole, name: str, dry_run: bool) -> board_welcome_t:
         self.welcome = board_welcome_t()
-        self._send(make_hello(role, name, dry_run))
-        self._wait_for(lambda: bool(self.welcome.welcome_version or self.refusals), "its welcome")
+        hello = make_hello(role, name, dry_run)
+        self._send(hello)
+        self._shaken(lambda: bool(self._challenge.challenge_nonce), "anything")
+        proof = board_proof_t()
+        proof.hello_proof = prove_hello(self._secret, self._challenge.challenge_nonce, hello)
+        self._send(proof)
+        self._shaken(lambda: bool(self.welcome.welcome_version), "its welcome")
+        return self.welcome
+
+    def _shaken(self, until: Callable[[], bool], what: str) -> None:
+        self._wait_for(lambda: until() or bool(self.refusals), what)
         if self.refusals:
             raise BackendError(f"the board at {self._where} refuses: {self.refusals[-1].refusal_reason}")
-        if (version := self.welcome.welcome_version) != VERSION:
-            raise BackendError(f"the board at {self._where} speaks version {version} of the protocol, we {VERSION}")
-        if self.welcome.num_channels != NUM_VALVES:
-            raise BackendError(f"the board at {self._where} has {self.welcome.num_channels} valves, not {NUM_VALVES}")
-        return self.welcome
 
     def _wait_for(self, until: Callable[[], bool], what: str) -> None:
         if not self.wait(until, PATIENCE):
             raise LinkLostError(f"the board at {self._where} did not tell {what} for {PATIENCE:g} s")
-
-    def _ask_to_arm(self, session: int, arm: int, person: str) -> None:
-        message = board_arm_t()
-        message.arm_session, message.arm, message.arm_person = session, arm, person
-        self._send(message)
 
     def _send(self, message: Any) -> None:
         """Send a frame with one call: two of them would wait 40 ms for each other's acknowledgement."""
@@ -253,6 +272,41 @@ class BoardClient:
 
     def _lost(self, reason: str) -> LinkLostError:
         return LinkLostError(f"the link to the valve board at {self._where} is lost: {reason}")
+
+
+def make_disarm(person: str) -> board_arm_t:
+    """Return the message that vents; it needs no handshake before it."""
+    message = board_arm_t()
+    message.arm_person, message.arm_proof = quote(person), NO_PROOF
+    return message
+
+
+def disarm(address: tuple[str, int], person: str) -> None:
+    """Vent a board, whoever may be connected to it, and wait until it has.
+
+    Args:
+        address: Host and port of the board.
+        person: Who wants it, for the log of the board.
+
+    Raises:
+        BackendError: The board does not say that it has vented.
+    """
+    reason = f"nothing heard of it for {PATIENCE:g} s"
+    with _connect(address, PATIENCE) as link:
+        try:
+            link.sendall(encode_frame(make_disarm(person), 0, monotonic_utime()))
+            decoder = FrameDecoder()
+            while data := link.recv(RECEIVE):
+                for frame in decoder.feed(data):
+                    if frame.type is FrameType.ARM:
+                        return
+                    if frame.type is FrameType.REFUSAL:
+                        reason = frame.message.refusal_reason
+        except (OSError, FrameError) as error:
+            reason = str(error)
+    raise BackendError(
+        f"the board at {address[0]}:{address[1]} does not say that it is disarmed ({reason}); close the air supply"
+    )
 
 
 def _connect(address: tuple[str, int], patience: float) -> socket.socket:

@@ -1,4 +1,4 @@
-"""The wires of the valve board: eight pressures out through a DAC, eight in through an ADC."""
+"""The wires of the valve board: targets out through a DAC, measurements in through an ADC."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,27 +10,26 @@ from imolo.config.model import Model, Positive
 from imolo.errors import BackendError, MissingToolError, did_you_mean
 from imolo.machine.extras import import_extra
 
-NUM_VALVES = 8
-SUPPLY_PRESSURE = 0.9e6  # [Pa]
-
-_Channels = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=NUM_VALVES, max_length=NUM_VALVES)]
-
+_Channels = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
 
 IIO_DEVICES = Path("/sys/bus/iio/devices")  # where the kernel has them, and libiio looks
 
 
 class ValveIO(Protocol):
-    """Gives the valves their targets and measures the pressures behind them."""
+    """Gives the valves their targets and measures the pressures behind them.
+
+    `read` is called in a thread of its own, at the same time as the others, and may take as long as it likes.
+    """
 
     def write(self, pressure: Sequence[float]) -> None:
-        """Give the valves their target gauge pressures [Pa], shape (8,).
+        """Give the valves their targets, such as gauge pressures [Pa], shape (N,).
 
         Raises:
             BackendError: The converter does not take them.
         """
 
     def read(self) -> Sequence[float]:
-        """Return the gauge pressures behind the valves [Pa], shape (8,).
+        """Return what is measured behind the valves, such as gauge pressures [Pa], shape (N,).
 
         Raises:
             BackendError: The converter does not answer.
@@ -44,8 +43,8 @@ class SimulatedValves:
     """Valves that follow at once, for trying the board without any."""
 
     def __init__(self) -> None:
-        """Start vented."""
-        self.pressure: Sequence[float] = (0.0,) * NUM_VALVES
+        """Know no targets before the board gives them."""
+        self.pressure: Sequence[float] = ()
 
     def write(self, pressure: Sequence[float]) -> None:
         """Follow at once."""
@@ -63,9 +62,11 @@ class ConverterConfig(Model):
     """A DAC or an ADC that the Linux kernel drives as an IIO device; SPI or I²C makes no difference here."""
 
     device: str = Field(description="its name, such as ad5628-1, or label or id, as `iio_info` lists it")
-    channels: _Channels = Field(tuple(range(NUM_VALVES)), description="number of the channel of the valves 1..8")
-    full_scale: Positive = Field(description="gauge pressure at the highest code [Pa], from the valve's data sheet")
-    zero_code: Annotated[int, Field(ge=0)] = Field(0, description="code at 0 Pa; sensors often begin at a tenth")
+    channels: _Channels = Field(
+        tuple(range(8)), description="numbers of the converter's channels in the order of the board's"
+    )
+    full_scale: Positive = Field(description="target or measurement at highest_code [unit], from the data sheet")
+    zero_code: Annotated[int, Field(ge=0)] = Field(0, description="code at 0; sensors often begin at a tenth")
     highest_code: Annotated[int, Field(gt=0)] = Field(4095, description="code at full_scale; 4095 for 12 bit")
 
     @model_validator(mode="after")
@@ -99,11 +100,11 @@ class IioValves:
             raise BackendError(
                 f"there are no IIO devices under {IIO_DEVICES}; are the drivers of the converters loaded?"
             )
-        # Kept: channels and codes point into it, and nothing else keeps it alive.
-        self._context = iio.LocalContext()
-        self._outputs = _codes(self._context, config.dac, is_output=True)
-        self._inputs = _codes(self._context, config.adc, is_output=False)
-        self._written: list[int | None] = [None] * NUM_VALVES
+        # Kept: channels and codes point into them, and nothing else keeps them alive. One for each thread.
+        self._contexts = (iio.LocalContext(), iio.LocalContext())
+        self._outputs = _codes(self._contexts[0], config.dac, is_output=True)
+        self._inputs = _codes(self._contexts[1], config.adc, is_output=False)
+        self._written: list[int | None] = [None] * len(self._outputs)
 
     def write(self, pressure: Sequence[float]) -> None:
         """Write the codes that have changed."""
@@ -132,7 +133,8 @@ class IioValves:
 
     def close(self) -> None:
         """Let the devices go."""
-        self._outputs, self._inputs, self._context = [], [], None
+        self._outputs, self._inputs = [], []
+        del self._contexts
 
 
 def _libiio() -> Any:

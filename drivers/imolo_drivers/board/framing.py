@@ -10,17 +10,21 @@ from imolo.errors import ImoloError
 from imolo_msgs import (
     actuator_command_t,
     board_arm_t,
+    board_challenge_t,
     board_clock_t,
     board_hello_t,
+    board_proof_t,
     board_refusal_t,
     board_state_t,
     board_trial_t,
     board_welcome_t,
 )
 
-VERSION = 1
+VERSION = 2
 MAGIC = b"IMB1"
-MAX_PAYLOAD = 4096  # [bytes] 54 phases of 8 valves; the paper's U has 3
+MAX_PAYLOAD = 16384  # [bytes] 225 phases of 8 channels, or 15 of 128; the paper's U has 3 of 8
+MAX_SHORT_PAYLOAD = 4096  # [bytes] of what whoever connects may send
+SEQUENCES = 2**32  # after which the numbers of the frames begin again at 0
 # Magic, type, length of the payload, time [us], sequence; then the CRC over all of these and the payload.
 _HEADER = struct.Struct(">4sHHqI")
 _CRC = struct.Struct(">I")
@@ -38,6 +42,8 @@ class FrameType(IntEnum):
     STATE = 6
     CLOCK = 7
     TRIAL = 8
+    CHALLENGE = 9
+    PROOF = 10
 
 
 PAYLOADS: dict[FrameType, type[Any]] = {
@@ -49,7 +55,10 @@ PAYLOADS: dict[FrameType, type[Any]] = {
     FrameType.STATE: board_state_t,
     FrameType.CLOCK: board_clock_t,
     FrameType.TRIAL: board_trial_t,
+    FrameType.CHALLENGE: board_challenge_t,
+    FrameType.PROOF: board_proof_t,
 }
+_LONG = (FrameType.WELCOME, FrameType.COMMAND, FrameType.STATE)
 _TYPE_OF = {payload: frame_type for frame_type, payload in PAYLOADS.items()}
 
 
@@ -63,7 +72,7 @@ class Frame:
 
     Attributes:
         type: What it holds.
-        sequence: Number that its sender gave it; increases by one.
+        sequence: Number that its sender gave it; increases by one, and begins again at 0 after 2**32 - 1.
         utime: Clock of the sender [µs].
         message: Of the class that belongs to the type.
     """
@@ -79,16 +88,22 @@ def encode_frame(message: Any, sequence: int, utime: int) -> bytes:
 
     Args:
         message: One of the types of `PAYLOADS`.
-        sequence: Number of the frame, below 2**32.
+        sequence: Number of the frame; wraps after 2**32 - 1.
         utime: Clock of the sender [µs].
 
     Raises:
         FrameError: The message is too long.
     """
     payload: bytes = message.encode()
-    if len(payload) > MAX_PAYLOAD:
-        raise FrameError(f"a {type(message).__name__} of {len(payload)} bytes is too long; {MAX_PAYLOAD} fit")
-    head = _HEADER.pack(MAGIC, _TYPE_OF[type(message)], len(payload), utime, sequence)
+    frame_type = _TYPE_OF[type(message)]
+    if len(payload) > (longest := _longest(frame_type)):
+        raise FrameError(f"a {type(message).__name__} of {len(payload)} bytes is too long; {longest} fit")
+    return frame_bytes(frame_type, payload, sequence, utime)
+
+
+def frame_bytes(frame_type: FrameType, payload: bytes, sequence: int, utime: int) -> bytes:
+    """Return the bytes of a frame around a message that is encoded already."""
+    head = _HEADER.pack(MAGIC, frame_type, len(payload), utime, sequence % SEQUENCES)
     return head + _CRC.pack(zlib.crc32(payload, zlib.crc32(head))) + payload
 
 
@@ -104,33 +119,60 @@ class FrameDecoder:
         """Number of bytes of a frame that is not whole yet."""
         return len(self._buffer)
 
+    def add(self, data: bytes) -> None:
+        """Take what has arrived."""
+        self._buffer += data
+
+    def next(self) -> Frame | None:
+        """Return the next frame if it is whole.
+
+        Raises:
+            FrameError: The stream is damaged; drop the connection.
+        """
+        size = self._size()
+        if size is None:
+            return None
+        data = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return _decode(data)
+
     def feed(self, data: bytes) -> list[Frame]:
         """Take what has arrived and return the frames that are whole now.
 
         Raises:
             FrameError: The stream is damaged. What came before in the same call is lost as well; drop the connection.
         """
-        self._buffer += data
-        frames: list[Frame] = []
-        start = 0
-        while len(self._buffer) - start >= HEADER_SIZE:
-            end = start + HEADER_SIZE + _payload_size(self._buffer, start)
-            if len(self._buffer) < end:
-                break
-            frames.append(_decode(bytes(self._buffer[start:end])))
-            start = end
-        del self._buffer[:start]
-        return frames
+        self.add(data)
+        return list(iter(self.next, None))
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether `next` has something to say, a frame or an error."""
+        try:
+            return self._size() is not None
+        except FrameError:
+            return True
+
+    def _size(self) -> int | None:
+        """Return the size of the next frame, header and all; None if it is not whole."""
+        if len(self._buffer) < HEADER_SIZE:
+            return None
+        size = HEADER_SIZE + _payload_size(self._buffer)
+        return size if len(self._buffer) >= size else None
 
 
-def _payload_size(buffer: bytearray, start: int) -> int:
-    magic, frame_type, length, _, _ = _HEADER.unpack_from(buffer, start)
+def _longest(frame_type: FrameType) -> int:
+    return MAX_PAYLOAD if frame_type in _LONG else MAX_SHORT_PAYLOAD
+
+
+def _payload_size(buffer: bytearray) -> int:
+    magic, frame_type, length, _, _ = _HEADER.unpack_from(buffer)
     if magic != MAGIC:
-        raise FrameError(f"a frame begins with {bytes(magic)!r}, not {MAGIC!r}; is this a valve board of version 1?")
-    if length > MAX_PAYLOAD:
-        raise FrameError(f"a frame announces {length} bytes; at most {MAX_PAYLOAD} are allowed")
+        raise FrameError(f"a frame begins with {bytes(magic)!r}, not {MAGIC!r}; is the other end a valve board's?")
     if frame_type not in PAYLOADS:
         raise FrameError(f"unknown frame type {frame_type}; known: {', '.join(f'{t:d}' for t in FrameType)}")
+    if length > (longest := _longest(frame_type)):
+        raise FrameError(f"a frame announces {length} bytes; at most {longest} are allowed")
     return int(length)
 
 
@@ -148,7 +190,7 @@ def _decode(data: bytes) -> Frame:
         # LCM reads texts that are cut off and passes over what follows the message.
         whole = message.encode() == payload
     except (ValueError, struct.error, IndexError, MemoryError, OverflowError) as error:
-        raise FrameError(f"frame {sequence} holds no {message_type.__name__}: {error}") from error
+        raise FrameError(f"frame {sequence} holds no {message_type.__name__}: {str(error)[:60]}") from error
     if not whole:
         raise FrameError(f"frame {sequence} holds no {message_type.__name__}: its length is not that of its content")
     return Frame(frame_type, sequence, utime, message)
