@@ -183,7 +183,8 @@ def emulate(
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
     with until_stopped() as stop, in_background(Console("emulate").say) as say:
         frame = Calibration.load(calibration) if calibration else Calibration()
-        robot = EmulatedRobot(config, BoardConfig(secret=secret), parse_address(listen), cameras, armed, say, frame)
+        board = BoardConfig.model_validate({"robot": config.robot.name, "secret": secret})
+        robot = EmulatedRobot(config, board, parse_address(listen), cameras, armed, say, frame)
         where = robot.board.address
         priority = claim_priority(BOARD_PRIORITY)
         ports = f"board on {where[0]}:{where[1]}, Motive on {host}:{robot.motive.port}"

@@ -25,7 +25,7 @@ from imolo.errors import BusError, ResultsError
 from imolo.machine.files import read_bounded, write_whole
 from imolo.messaging.channels import TRIAL
 from imolo.messaging.log import LOG_SUFFIX, decode
-from imolo.messaging.log_file import read_events
+from imolo.messaging.log_file import LogReader
 
 logger = logging.getLogger(__name__)
 
@@ -146,9 +146,12 @@ def _check_end(partial: Path) -> None:
     Raises:
         OSError: The log does not end with the end of a trial.
     """
-    events, damage = read_events(partial)
-    last = next((decode(TRIAL, event.data) for event in reversed(events) if event.channel == TRIAL), None)
-    if damage or last is None or last.event != EventName.END:
+    last = None
+    with LogReader(partial, with_data=(TRIAL,), quiet=True) as reader:
+        for event in reader:
+            if event.channel == TRIAL:
+                last = decode(TRIAL, event.data)
+    if reader.damage or last is None or last.event != EventName.END:
         raise OSError(errno.ENOSPC, "it is cut off, the disk may be full")
 
 
@@ -186,10 +189,16 @@ def environment() -> dict[str, str]:
 
 def plugin_code(config: ExperimentConfig) -> dict[str, str]:
     """Return what the plug-ins are that a config names."""
-    plugins = {"backend": (BACKENDS, config.backend), "robot": (ROBOTS, config.robot), "task": (TASKS, config.task)}
-    code = {f"{kind} code": str(provenance(one.group, named.name)) for kind, (one, named) in plugins.items()}
-    planners = sorted({method.controller.name for method in config.methods.values()})
-    return {**code, "planner code": ", ".join(str(provenance(PLANNERS.group, name)) for name in planners)}
+    named = {
+        "backend": (BACKENDS.group, [config.backend.name]),
+        "robot": (ROBOTS.group, [config.robot.name]),
+        "task": (TASKS.group, [config.task.name]),
+        "planner": (PLANNERS.group, sorted({method.controller.name for method in config.methods.values()})),
+    }
+    return {
+        f"{kind} code": ", ".join(str(provenance(group, name)) for name in names)
+        for kind, (group, names) in named.items()
+    }
 
 
 def file_digest(path: Path) -> str:

@@ -29,8 +29,8 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Robots that hit or catch a flying ball by a lookup table of learned dynamics (IMoLo), compared across physics "
-    "engines over LCM.",
+    help="Robots that hit or catch a flying ball by a lookup table of learned dynamics (IMoLo), compared across "
+    "physics engines over LCM.",
 )
 # In the order of `--help`, which must be quick: a command imports what it needs when it is called, since scikit-learn,
 # numba and matplotlib take seconds.

@@ -23,13 +23,16 @@ def check(
     only: Annotated[
         list[str] | None, typer.Option(help="A scene or a group of scenes; may be given several times.")
     ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Check this robot in the backends, in place of the backends themselves.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the numbers to this file.")] = None,
     page: Annotated[
         Path | None, typer.Option(help="Write them as a page, with its JSON beside it; engines not checked stay in it.")
     ] = None,
     jobs: Jobs = CORES,
 ) -> None:
-    """Put engines through scenes whose truth is known, and report what they measure.
+    """Put engines, or a robot in them, through scenes whose truth is known, and report what they measure.
 
     A scene that crashes or hangs fails; the others go on. Exit code 1 if anything fails, not for warnings.
     """
@@ -37,10 +40,13 @@ def check(
     from imolo.conformance.check import Verdict
     from imolo.conformance.record import record, save_records
     from imolo.conformance.report import render_report
+    from imolo.conformance.robot_suite import robot_suites
     from imolo.conformance.runner import run_suites
     from imolo.conformance.suite import check_names, suites
 
     chosen = suites(engines or ())
+    if robot is not None:
+        chosen = robot_suites(robot, [suite.backend for suite in chosen])
     check_names(only or (), chosen)
     if page is not None:
         pages.refuse_partial(chosen, only or ())

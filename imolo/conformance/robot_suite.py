@@ -1,7 +1,7 @@
 """The checks of a robot in one simulated backend: `imolo check --robot NAME`.
 
-They run short trials and look at what passes on the bus, so that they hold for every backend, and name what is wrong with
-a body, its actuators or its motion before anything is learned.
+They run short trials and look at what passes on the bus, so that they hold for every backend, and name what is wrong
+with a body, its actuators or its motion before anything is learned.
 """
 
 import tempfile
@@ -69,6 +69,7 @@ class RobotSuite(Suite):
         ]
         if probe.body.mirrored_joints:
             found.append(Check("mirror", "body", "Mirrored motions are mirror images", probe.mirror))
+        found += self.config.simulation.actuators.checks(probe.body.joint_limits)
         return {check.name: check for check in found}
 
     def run(self, name: str) -> list[Outcome]:
@@ -189,8 +190,8 @@ class _Probe:
             return
         theta = self.config.training.motions[0]
         mirrored = tuple((np.array(theta) * sign).tolist())
-        one, other = (self._hands(motion) for motion in (theta, mirrored))
-        image = other[:, ::-1] * [1.0, -1.0, 1.0]
+        one, mirror = (self._hands(motion) for motion in (theta, mirrored))
+        image = mirror[:, ::-1] * [1.0, -1.0, 1.0]
         way = float(np.linalg.norm(np.ptp(one[:, 0], axis=0)))
         apart = float(np.linalg.norm(one - image, axis=-1).max()) / way
         yield Measurement(

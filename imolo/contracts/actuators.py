@@ -1,5 +1,6 @@
 """What actuators are: they turn the control target of every channel into joint torques, and sense what comes of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from imolo.config.disturbance import DisturbanceConfig
 from imolo.config.model import Model
+from imolo.conformance import Check
 
 Array = NDArray[np.float64]
 
@@ -81,6 +83,10 @@ class ActuatorsConfig(Model):
             joint_angle: At which the joints are held [rad], shape (J,).
         """
         raise NotImplementedError
+
+    def checks(self, joint_limits: Array) -> Sequence[Check]:
+        """Return further checks in closed form that this kind of actuators offers, for `imolo check --robot`."""
+        return ()
 
     def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> Any:
         """Draw what is different in a trial, for `create`; always the same number of draws.

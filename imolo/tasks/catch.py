@@ -56,8 +56,8 @@ class CatchTask(HitTask):
                 )
             if len(self._markers(effector)) < FEWEST_MARKERS:
                 raise ConfigError(
-                    f"robot {body.name!r} cannot catch: fewer than {FEWEST_MARKERS} markers on {effector.link!r} tell how "
-                    f"{effector.name!r} is turned; add some"
+                    f"robot {body.name!r} cannot catch: fewer than {FEWEST_MARKERS} markers on {effector.link!r} "
+                    f"tell how {effector.name!r} is turned; add some"
                 )
 
     def judge(self, log: Log, onset_utime: int) -> Verdict:
@@ -69,7 +69,8 @@ class CatchTask(HitTask):
         effector = next((one for one in self._body.effectors if one.link == touch.touched), self._body.effectors[0])
         time = touch.utime * 1e-6
         pose = self._pose(log, effector, time)
-        ball = _velocity(*ball_track(log), time, scale=1e-6)
+        utimes, places = ball_track(log)
+        ball = _velocity(np.asarray(1e-6 * utimes, dtype=np.float64), places, time)
         hand = _velocity(*marker_track(log, self._body.marker_id(effector.name)), time)
         if pose is None or ball is None or hand is None:
             return Verdict(False, cause=UNSEEN)
@@ -85,7 +86,7 @@ class CatchTask(HitTask):
         return [marker for marker in self._body.markers if marker.link == effector.link]
 
     def _pose(self, log: Log, effector: Effector, time: float) -> tuple[Array, Array] | None:
-        """Return position of the face's middle [m], shape (3,), and the link's rotation, shape (3, 3), by its markers."""
+        """Return where the face's middle is [m], shape (3,), and the link's rotation, shape (3, 3), by its markers."""
         seen = [
             (marker.offset, place)
             for marker in self._markers(effector)
@@ -109,9 +110,12 @@ class CatchTask(HitTask):
         return height >= -margin and across <= 0.5 * effector.width + margin
 
 
-def _velocity(times: Array, positions: Array, time: float, scale: float = 1.0) -> Array | None:
-    """Return the velocity at a time from the samples just before it, on a parabola [m/s], shape (3,); None if unseen."""
-    since = np.asarray(times, dtype=np.float64) * scale - time
+def _velocity(times: Array, positions: Array, time: float) -> Array | None:
+    """Return the velocity at a time from the samples just before it, on a parabola [m/s], shape (3,).
+
+    None where there are too few samples.
+    """
+    since = times - time
     near = (since >= -FIT_TIME) & (since <= 0.0)
     if near.sum() < FEWEST:
         return None

@@ -4,17 +4,24 @@ Reference: ISO 6358 for flows through valves and tubes, Richer & Hurmuzlu 2000 f
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imolo.config.simulation import PneumaticsConfig
 from imolo.conformance import Check, Measurement
 from imolo.contracts.engine import Array
-from imolo_backends.actuators.plant import ATMOSPHERE, GAS_CONSTANT, REFERENCE_DENSITY, Plant
+from imolo_backends.actuators.pneumatics import (
+    ATMOSPHERE,
+    GAS_CONSTANT,
+    REFERENCE_DENSITY,
+    AirConfig,
+    Pneumatics,
+    valves_of_chambers,
+)
 
 SUBSTEP = 1e-4  # [s]
 ROUNDING = 1e-11  # relative, of some ten thousand operations in double precision
@@ -28,21 +35,25 @@ KILO = 1e-3
 
 @dataclass(frozen=True)
 class PneumaticDrive:
-    """What is checked: a plant, and what its closed forms need to know of the robot.
+    """What is checked.
 
     Attributes:
-        make_plant: Makes the plant from parameters, with steps of `SUBSTEP`, its joints at these angles [rad].
         config: The parameters; the checks change some of them.
         joint_limits: Lowest and highest angle [rad], shape (J, 2).
-        sweep: Volume that the two chambers of a joint sweep [m³/rad], shape (J,).
-        valve_of_chamber: Valve of each chamber, shape (2 J,): those that drive the joints up, then those down.
     """
 
-    make_plant: Callable[[PneumaticsConfig, Array], Plant]
-    config: PneumaticsConfig
+    config: AirConfig
     joint_limits: Array
-    sweep: Array
-    valve_of_chamber: Array
+
+    @cached_property
+    def sweep(self) -> Array:
+        """Volume that the two chambers of a joint sweep [m³/rad], shape (J,)."""
+        return np.array([math.pi / 4 * one.bore**2 * one.lever for one in self.config.cylinders_of_joints()])
+
+    @cached_property
+    def valve_of_chamber(self) -> NDArray[np.int64]:
+        """Valve of each chamber, shape (2 J,): those that drive the joints up, then those down."""
+        return valves_of_chambers(self.config.cylinders_of_joints())
 
     @property
     def middle(self) -> Array:
@@ -62,18 +73,17 @@ class PneumaticDrive:
 class Air:
     """A plant whose joints are led."""
 
-    def __init__(self, drive: PneumaticDrive, config: PneumaticsConfig) -> None:
+    def __init__(self, drive: PneumaticDrive, config: AirConfig) -> None:
         self.config = config
         self.drive = drive
-        self.plant = drive.make_plant(config, drive.middle)
+        self.plant = Pneumatics(config, SUBSTEP, drive.joint_limits, drive.middle)
         self._still = np.zeros(len(drive.sweep))
-        self._calm = np.zeros(3)
 
     def hold(self, duration: float, angle: Array | None = None) -> None:
         """Hold the joints [rad], in the middle of their ranges by default, for a duration [s]."""
         angle = self.drive.middle if angle is None else angle
         for _ in range(round(duration / SUBSTEP)):
-            self.plant.step(angle, self._still, self._calm)
+            self.plant.step(angle, self._still)
 
     def volumes(self, angle: Array | None = None) -> tuple[Array, Array]:
         """Return the volumes of the chambers, shape (2, J), and behind the valves, shape (V,) [m³]."""
@@ -88,7 +98,7 @@ class Air:
         """Return the air in chambers, tubes and manifolds [g]."""
         chambers, manifolds = self.volumes(angle)
         energy = ((self.plant.chamber_pressure + ATMOSPHERE) * chambers).sum()
-        energy += ((self.plant.valve_pressure + ATMOSPHERE) * manifolds).sum()
+        energy += ((self.plant.measured() + ATMOSPHERE) * manifolds).sum()
         return float(energy) / self.gas_energy / KILO
 
     def mass_in_tanks(self) -> float:
@@ -149,7 +159,7 @@ def choked_filling(drive: PneumaticDrive) -> Iterator[Measurement]:
     samples = []
     for _ in range(3):
         air.hold(duration / 3)
-        samples.append(float(air.plant.valve_pressure[0]))
+        samples.append(float(air.plant.measured()[0]))
     # dp/dt = kappa R T C rho p_tank / V while p < b p_tank; Euler's steps are exact.
     flow = air.config.supply_conductance * REFERENCE_DENSITY * tank  # [kg/s]
     truth = air.config.heat_in * air.gas_energy * flow / volume * duration
@@ -207,7 +217,7 @@ def commanded_pressure(drive: PneumaticDrive) -> Iterator[Measurement]:
     rate /= air.volumes_of_valves().max() * config.full_opening_error  # [1/s]
     left = KILO * (config.full_opening_error * math.exp(-rate) + ROUNDING * config.supply_pressure)
     basis = "a valve without a leak has no offset; what is left after half of the two seconds, rounding"
-    off = float(np.abs(air.plant.valve_pressure - target).max())
+    off = float(np.abs(air.plant.measured() - target).max())
     yield Measurement("pressure of the worst valve", "kPa", 0.0, KILO * off, left, basis)
     off = float(np.abs(air.plant.chamber_pressure.ravel() - target[drive.valve_of_chamber]).max())
     yield Measurement("pressure in the worst chamber", "kPa", 0.0, KILO * off, left, basis)
@@ -216,9 +226,9 @@ def commanded_pressure(drive: PneumaticDrive) -> Iterator[Measurement]:
 def resting(drive: PneumaticDrive) -> Iterator[Measurement]:
     """Nothing is commanded."""
     air = drive.air()
-    before = air.plant.chamber_pressure, air.plant.valve_pressure
+    before = air.plant.chamber_pressure, air.plant.measured()
     air.hold(0.5)
-    after = air.plant.chamber_pressure, air.plant.valve_pressure
+    after = air.plant.chamber_pressure, air.plant.measured()
     drift = max(float(np.abs(a - b).max()) for a, b in zip(before, after, strict=True))
     yield Measurement("change of pressure", "Pa", 0.0, drift, 0.0, "the rest is an equilibrium to the bit")
 
@@ -232,10 +242,10 @@ def valve_step(drive: PneumaticDrive) -> Iterator[Measurement]:
     flow = config.supply_conductance * REFERENCE_DENSITY * (air.plant.tank_pressure + ATMOSPHERE)  # [kg/s]
     slope = config.heat_in * air.gas_energy * flow / volume  # [Pa/s] when it is open
     air.plant.target[0] = config.supply_pressure
-    pressure = [float(air.plant.valve_pressure[0])]
+    pressure = [float(air.plant.measured()[0])]
     for _ in range(steps):
         air.hold(SUBSTEP)
-        pressure.append(float(air.plant.valve_pressure[0]))
+        pressure.append(float(air.plant.measured()[0]))
     opening = np.diff(pressure) / (slope * SUBSTEP)
     first = int(np.flatnonzero(opening)[0])
     tau, dead = config.valve_time_constant, config.valve_dead_time
@@ -273,7 +283,7 @@ def emptying(drive: PneumaticDrive) -> Iterator[Measurement]:
         air.plant.target[0] = 0.0
         air.hold(duration)
         # dp/dt = -R T C rho p / V while p > p_air / b, isothermal; Euler leaves (1 - h rate)^n of it.
-        pressure = KILO * (float(air.plant.valve_pressure[0]) + ATMOSPHERE)
+        pressure = KILO * (float(air.plant.measured()[0]) + ATMOSPHERE)
         full = KILO * (start + ATMOSPHERE)
         off[substep] = pressure - full * math.exp(-rate * duration)
         truth = full * (1.0 - rate * substep) ** round(duration / substep)
@@ -290,11 +300,11 @@ def emptying(drive: PneumaticDrive) -> Iterator[Measurement]:
     air.plant.target[:] = 0.0
     times = (2.0, 4.0)
     air.hold(times[0])
-    before = air.plant.valve_pressure
+    before = air.plant.measured()
     air.hold(times[1] - times[0])
     # de/dt = -K e² makes 1/e grow by K t; the valve's opening is late by its lag tau, which adds K tau ln(t2/t1).
     lag = air.config.valve_time_constant * math.log(times[1] / times[0])
-    grown = (1.0 / air.plant.valve_pressure - 1.0 / before) / (times[1] - times[0])
+    grown = (1.0 / air.plant.measured() - 1.0 / before) / (times[1] - times[0])
     for valve in (0, drive.valves - 1):
         truth = float(air.decay()[valve]) * (1.0 + lag / (times[1] - times[0])) / KILO
         measured = float(grown[valve]) / KILO

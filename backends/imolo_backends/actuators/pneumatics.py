@@ -13,6 +13,7 @@ from imolo.config.disturbance import DisturbanceConfig
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Fraction, Model, NonNegative, Positive
 from imolo.config.simulation import SimulationConfig
+from imolo.conformance import Check
 from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
 from imolo.errors import ConfigError
 from imolo.method.motion import PhasedMotion
@@ -139,7 +140,13 @@ class AirConfig(ActuatorsConfig):
         cylinders = self.cylinders_of_joints()
         pressure = [target[cylinder.up - 1] - target[cylinder.down - 1] for cylinder in cylinders]
         lever = [0.25 * math.pi * cylinder.bore**2 * cylinder.lever for cylinder in cylinders]
-        return np.array(pressure) * np.array(lever)
+        return np.asarray(np.array(pressure) * np.array(lever))
+
+    def checks(self, joint_limits: Array) -> Sequence[Check]:
+        """Return the scenes of `checks.py`: flows, chambers, valves and tanks in closed form."""
+        from imolo_backends.actuators.checks import PneumaticDrive, pneumatic_checks
+
+        return pneumatic_checks(PneumaticDrive(self, joint_limits))
 
     def draw(self, disturbance: DisturbanceConfig, rng: np.random.Generator) -> AirDisturbance:
         """Draw what is different in a trial."""
@@ -192,6 +199,11 @@ def check_valve_map(cylinders: Sequence[Cylinder], valves: int) -> None:
         raise ValueError(f"valve {idle[0]} feeds no chamber; name it in `up` or `down` of a cylinder, or leave it out")
 
 
+def valves_of_chambers(cylinders: Sequence[Cylinder]) -> NDArray[np.int64]:
+    """Return the valve of each chamber, from 0, shape (2 J,): those that drive the joints up, then those down."""
+    return np.array([one.up for one in cylinders] + [one.down for one in cylinders], dtype=np.int64) - 1
+
+
 def tube_conductance(diameter: float, length: float) -> float:
     """Return the sonic conductance of a plastic tube [m³/(s·Pa)] from its inner diameter and length [m].
 
@@ -231,7 +243,7 @@ class Pneumatics:
             raise ConfigError("a joint without limits has no cylinder that fits; give its URDF joint a <limit>")
         changes = disturbance or AirDisturbance(np.zeros(valves), 0.0)
         substeps = max(1, math.ceil(timestep / config.max_substep - 1e-9))
-        valve_of = np.array([c.up for c in cylinders] + [c.down for c in cylinders], dtype=np.int64) - 1
+        valve_of = valves_of_chambers(cylinders)
         self._parameters = _parameters(config, cylinders, valve_of, timestep / substeps, joint_limits)
         dead_time = np.maximum(config.valve_dead_time + changes.valve_dead_time, 0.0)
         dead_steps = np.rint(dead_time * substeps / timestep).astype(np.int64)

@@ -1,7 +1,7 @@
 """The iiwa as the entry point offers it: a model that nobody here made, motors from its data sheet.
 
-The URDF, its meshes and inertias are those of `pybullet_data`, which comes with PyBullet's wheel; they are read where they
-lie, as they are. Joint order: lbr_iiwa_joint_1 to 7, from the base.
+The URDF, its meshes and inertias are those of `pybullet_data`, which comes with PyBullet's wheel; they are read where
+they lie, as they are. Joint order: lbr_iiwa_joint_1 to 7, from the base.
 """
 
 from functools import cache

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 from imolo.errors import BackendError
-from imolo.method.motion import to_microseconds
+from imolo.method.commands import to_microseconds
 from imolo_drivers.board.command import Motion, Targets, clamp, is_newer, read_command, slew
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.refusal import RefusalCode, RefusedError

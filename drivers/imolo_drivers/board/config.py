@@ -5,8 +5,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.loading import config_for
+from imolo.config.model import Model, NonNegative, Positive
 from imolo.contracts.registry import default_robot
 from imolo_drivers.board.valve_io import IioConfig
 
@@ -51,11 +51,12 @@ class BoardConfig(Model):
 
     name: str = Field("valve board", max_length=80, description="told to whoever connects")
     robot: str = Field(
+        "",
         max_length=80,
-        description="told to whoever connects, a table of another robot is refused there; the default robot if not given",
+        description="told to whoever connects, who refuses another robot; the default robot if not given",
     )
     channels: Annotated[tuple[ChannelConfig, ...], Field(min_length=1, max_length=MAX_CHANNELS)] = Field(
-        description="in the order of the commands; those of the robot if not given"
+        (), description="in the order of the commands; those of the robot if not given"
     )
     secret: Path | None = Field(
         None, description="file of mode 0600 that clients must know; none: the board listens to this machine alone"

@@ -2,7 +2,7 @@
 
 import hmac
 
-from imolo.method.motion import to_microseconds
+from imolo.method.commands import to_microseconds
 from imolo_drivers.board.board import Board
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.framing import VERSION

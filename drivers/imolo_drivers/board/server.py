@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from imolo.errors import BackendError, ConfigError, ImoloError
-from imolo.method.motion import to_microseconds
+from imolo.method.commands import to_microseconds
 from imolo_drivers.board.board import Board
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.connection import Allowance, Connection, DropError

@@ -6,4 +6,5 @@ from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize
 
 @parametrize_checks(*robot_suites("paddle", ["mujoco"]))
 def test_conformance(check: BackendCheck) -> None:
+    """The robot is as it says."""
     assert_conforms(check)
