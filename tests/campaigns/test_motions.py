@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from played_trials import BACKENDS, COARSE, hand_in_truth, play_motion, quiet
+from played_trials import COARSE, hand_in_truth, play_motion, quiet
 from requirements import needs
 
 from imolo.config.simulation import ContactConfig
@@ -43,7 +43,7 @@ def hand(log: Log) -> np.ndarray:
     return hand_in_truth(log, plan.plan_onset_utime + round((plan.theta[1] + SWING) * 1e6))
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 @pytest.mark.parametrize("theta", [Theta(0.0, 0.31), Theta(1.0, 0.41), Theta(-1.0, 0.21)])
 def test_robot_jumps_and_swings(backend: str, theta: Theta) -> None:
     truth = motion(backend, theta).messages[channels.TRUTH_ROBOT]
@@ -56,7 +56,7 @@ def test_robot_jumps_and_swings(backend: str, theta: Theta) -> None:
     assert (shoulder[0] < 1.0).all()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_k_leads_the_hand_sideways(backend: str) -> None:
     right, middle, left = (hand(motion(backend, Theta(k, 0.31)))[1] for k in (-1.0, 0.0, 1.0))
     # The ball is 90 mm wide: from end to end k reaches over more than one ball.
@@ -64,7 +64,7 @@ def test_k_leads_the_hand_sideways(backend: str) -> None:
     assert left - right > 0.09
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_mirrored_k_mirrors_the_trunk(backend: str) -> None:
     """The robot is symmetric, so +k and -k lean it equally far to either side."""
     one, other = (motion(backend, Theta(k, 0.31)).messages[channels.TRUTH_ROBOT] for k in (-0.5, 0.5))
@@ -74,14 +74,14 @@ def test_mirrored_k_mirrors_the_trunk(backend: str) -> None:
     assert abs(lean - mirrored).max() < 0.1 * abs(lean).max()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_t_w_leads_the_hand_forward_and_up(backend: str) -> None:
     early, middle, late = (hand(motion(backend, Theta(0.0, t_w))) for t_w in (0.21, 0.31, 0.41))
     for axis in (0, 2):
         assert early[axis] < middle[axis] < late[axis]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
     truth = motion(backend, Theta(0.0, 0.31)).messages[channels.TRUTH_ROBOT]
     sideways = abs(np.array([message.base_position[1] for message in truth])).max()
@@ -95,7 +95,7 @@ def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
 NO_SLIP = 3.0
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
     """Sec. V-A: with flat soles the motion stays in the sagittal plane, whatever k."""
 

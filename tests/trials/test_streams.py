@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from played_trials import BACKENDS, COARSE, Commander, command, config, events, play, play_motion, quiet
+from played_trials import COARSE, Commander, command, config, events, play, play_motion, quiet
 
 from imolo.config.simulation import SimulationConfig
 from imolo.contracts.trial import EventName, TrialKind
@@ -25,7 +25,7 @@ RATES = SimulationConfig()
 DURATION = START_MARGIN + THETA.t_w  # [s] of the training trial
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
+@pytest.fixture(scope="module", params=BACKEND_PARAMS)
 def backend(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name
