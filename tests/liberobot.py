@@ -1,7 +1,10 @@
 """The experiment of the paper, which most tests are about: Liberobot with the defaults of its own folder."""
 
-from imolo.config.loading import body_of, config_for
-from imolo.contracts.engine import Scene
+from dataclasses import replace
+
+from imolo.config.loading import body_of, config_for, create_task
+from imolo.contracts.engine import Array, Ball, Scene
+from imolo.contracts.robot import Body
 from imolo.method.motion import PhasedMotion
 from imolo_robots.liberobot.air import LiberobotAir
 
@@ -19,3 +22,15 @@ GRID = PAPER.grid
 
 assert isinstance(MOTION, PhasedMotion)
 assert isinstance(AIR, LiberobotAir)
+
+
+def foam_ball(position: tuple[float, float, float] = (5.0, 0.0, 1.1)) -> Ball:
+    """Return the ball of the paper at rest somewhere [m]."""
+    return replace(create_task(CONFIG).ball, position=position)
+
+
+def ready_scene(joint_offset: Array | list[float] | None = None, body: Body = BODY) -> Scene:
+    """Return how a trial starts, the joints off by so much [rad], shape (J,)."""
+    simulation = CONFIG.simulation
+    contact = simulation.contact
+    return body.scene(foam_ball(), simulation.timestep, contact.friction, contact.restitution, joint_offset)

@@ -44,7 +44,10 @@ def load(tmp_path: Path, text: str) -> ExperimentConfig:
         ("simulation: {thrower: {hold_time: [0.2, 0.1]}}\n", "is not (shortest, longest)"),
         ("motion: {swing_phase: 7}\n", "swing_phase is 7; give 1 to 3"),
         ("motion: {phases: [{target: [0], until: 1}]}\n", "swing_phase is 3; give 1 to 1"),
-        ("methods: {paper: {grid: {parameters: {v: {start: 0, stop: 1, step: 1}}}}}\n", "the grid is over t_w, k, v, the motion has k, t_w; give each an axis"),
+        (
+            "methods: {paper: {grid: {parameters: {v: {start: 0, stop: 1, step: 1}}}}}\n",
+            "the grid is over t_w, k, v, the motion has k, t_w; give each an axis",
+        ),
         ("training: {motions: [[2.0, 0.3]]}\n", "k is 2; give -1 to 1"),
         ("training: {motions: [[0.3]]}\n", "theta is (0.3,); give 2 values: k, t_w"),
         ("training: {motions: []}\n", "'training.motions' is []: Tuple should have at least 1 item"),

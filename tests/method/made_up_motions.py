@@ -47,7 +47,12 @@ MADE_UP = (
     motion(end("t", 2), target("k", 2), target("m", 3, 1), ends=(0.1, None, 0.5), swing_phase=3),
     motion(end("t", 1), target("k", 1), target("l", 2), ends=(None, 0.5, 0.6), swing_phase=2),
     motion(
-        target("k", 1, mirrored=True), target("l", 2, 1), end("t", 2), target("m", 3), ends=(0.1, None, 0.5), swing_phase=3
+        target("k", 1, mirrored=True),
+        target("l", 2, 1),
+        end("t", 2),
+        target("m", 3),
+        ends=(0.1, None, 0.5),
+        swing_phase=3,
     ),
     motion(target("k", 1), target("l", 1, 1), target("m", 2), end("t", 2), ends=(0.1, None, 0.5), swing_phase=3),
 )

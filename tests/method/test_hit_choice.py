@@ -291,12 +291,12 @@ def test_coarse_search_ends_on_the_motion_that_flies_right_at_the_ball(table: tu
 
 def test_number_of_coarse_values_is_that_of_the_parameters() -> None:
     template, stored = TABLES[2]
-    with pytest.raises(ConfigError, match=r"hit.coarse is \(10, 13\); give 3 numbers, one per parameter"):
+    with pytest.raises(ConfigError, match=r"hit\.coarse is \(10, 13\); give 3 numbers, one per parameter"):
         chooser(stored, template, coarse=(10, 13))
 
 
 def test_chooser_without_the_size_of_hand_and_ball_says_so() -> None:
-    with pytest.raises(ConfigError, match="needs hit.effector_width and hit.ball_radius"):
+    with pytest.raises(ConfigError, match=r"needs hit\.effector_width and hit\.ball_radius"):
         HitChooser(swings(), MOTION, HitConfig(), STEP)
 
 
@@ -319,7 +319,9 @@ def test_constant_uncertainty_is_the_error_on_motions_left_out() -> None:
     squares = []
     for motion in np.unique(training.theta, axis=0):
         out = (training.theta == motion).all(axis=1)
-        other = ForwardModel(SHARP.config, MOTION).fit(training.theta[~out], training.time[~out], training.position[~out])
+        other = ForwardModel(SHARP.config, MOTION).fit(
+            training.theta[~out], training.time[~out], training.position[~out]
+        )
         error = other.predict(training.theta[out], training.time[out]) - training.position[out]
         squares.append(np.mean(error**2, axis=0))
     # The floor is found on 200 steps up to the largest error.

@@ -159,7 +159,7 @@ def test_commands_of_any_number_of_channels_survive_the_bus(data: st.DataObject)
 def test_message_with_an_impossible_pressure_is_refused(value: float) -> None:
     message = MOTION.commands((0.0, 0.3), ONSET).to_message(0, 0)
     message.target[1][4] = value
-    with pytest.raises(MessageError, match=r"target of 'valve 5: extends left knee' in phase 2 is .* give 0 to 900000 Pa"):
+    with pytest.raises(MessageError, match=r"'valve 5: extends left knee' in phase 2 is .* give 0 to 900000 Pa"):
         Commands.from_message(message, CHANNELS)
 
 

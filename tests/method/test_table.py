@@ -59,9 +59,7 @@ def test_nearest_grid_point_is_within_half_a_cell(point: tuple[float, float, flo
             return positions.repeat(len(np.asarray(time)), axis=0)
 
     one = GridAxis(start=0.3, stop=0.3, step=1.0)
-    grid = TableGrid(
-        parameters={"t_w": one, "k": GridAxis(start=0.0, stop=0.0, step=1.0)}, time_since_swing=one
-    )
+    grid = TableGrid(parameters={"t_w": one, "k": GridAxis(start=0.0, stop=0.0, step=1.0)}, time_since_swing=one)
     still = Still(PAPER_SVR, MOTION).fit(SHARP.training.theta, SHARP.training.time, SHARP.training.position)
     table = LookupTable.build(still, grid, np.random.default_rng(0), robot="testbot")
     assert len(table) == 1
