@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import TrialTask, hit_tasks, run_task
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import make_config
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import TrialVoidError
 from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
@@ -78,7 +78,7 @@ def play_campaign(folder: Path, table_path: Path, method: str, balls: int = BALL
     tasks: list[TrialTask] = []
     hits, trials = 0, 0
     with _emulator() as (options, said):
-        config = ExperimentConfig.model_validate({"backend": {"name": "hardware", **options}})
+        config = make_config({"backend": {"name": "hardware", **options}})
         for task in hit_tasks(config, folder / "hardware", method, table_path)[:balls]:
             while trials < MOST_TRIALS * balls and task not in tasks:
                 trials += 1
@@ -181,7 +181,7 @@ def run_cameras(folder: Path) -> list[Measurement]:
             assert board.stderr is not None
             address = f"127.0.0.1:{board.stderr.readline().partition('127.0.0.1:')[2].partition(',')[0]}"
             options = {"board": address, "cameras": {"command_port": ours.recv()}, "camera_patience": 10.0}
-            config = ExperimentConfig.model_validate({"backend": {"name": "hardware", **options}})
+            config = make_config({"backend": {"name": "hardware", **options}})
             with claimed_priority(BACKEND_PRIORITY):
                 run_trial(config, Trial(TrialKind.THROW, 0, 1), Bystander(), path, STALLS * (SEEN + STALLED))
         finally:
@@ -244,7 +244,7 @@ def _play(client: BoardClient, sequence: int, accepted: list[float], switched: l
     """Play a motion, and note how late each command was accepted and each phase was switched [ms]."""
     onset = monotonic_utime() + client.offset.utime + 20_000
     switches = tuple(onset + PHASE * (phase + 1) for phase in range(PHASES))
-    target = np.outer(np.arange(PHASES) % 2 + 1, np.full(NUM_VALVES, 1e5))
+    target = np.outer(np.arange(PHASES) % 2 + 1, np.full(client.welcome.num_channels, 1e5))
     commands = Commands(onset, switches, target)
     sent: dict[int, int] = {}
     late: dict[int, int] = {}
@@ -272,7 +272,7 @@ def _play(client: BoardClient, sequence: int, accepted: list[float], switched: l
 def _stop_commanding(client: BoardClient, sequence: int) -> float:
     """Command once, keep the link alive, and return how long the board took to vent [ms]."""
     onset = monotonic_utime() + client.offset.utime
-    commands = Commands(onset, (onset + 1_000_000,), np.full((1, NUM_VALVES), 1e5))
+    commands = Commands(onset, (onset + 1_000_000,), np.full((1, client.welcome.num_channels), 1e5))
     client.command(commands.to_message(0, sequence + 1))
     accepted = 0
     while True:
