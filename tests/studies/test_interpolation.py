@@ -141,7 +141,7 @@ def judged(without: list[float], with_: list[float]) -> PairedTest:
     for a, b in zip(without, with_, strict=True):
         choices = {name: Choice((a if name == WITHOUT else b, 0.3), 0.0, in_time=True) for name in VARIANTS}
         answers.append(Answer(choices, dict.fromkeys(RATED, 0.0)))
-    return judge(problems, answers, lambda theta, _: np.array([theta.k, 0.0, 0.0])).test(1, "paper")
+    return judge(problems, answers, lambda theta, _: np.array([theta[0], 0.0, 0.0])).test(1, "paper")
 
 
 def test_paired_t_test_is_that_of_the_textbook_and_of_scipy() -> None:
