@@ -185,6 +185,7 @@ def test_nothing_is_updated_after_the_switch() -> None:
 # Any number of parameters.
 
 SINCE = np.linspace(0.02, 0.08, 13)  # [s] of the swing
+ROUNDING = 1e-13  # of a probability after some hundred operations that are compiled twice
 VALUES = {1: 40, 2: 9, 3: 6, 4: 4}  # of each parameter, by their number
 LEADS = np.array([[0.0, 0.4, 0.0], [0.05, 0.0, 0.2], [0.1, -0.1, 0.1], [-0.1, 0.1, 0.2]])  # [m] over each one's range
 
@@ -214,7 +215,7 @@ def swings_of(template: PhasedMotion) -> Swings:
 
 
 def towards(place: Array, arrives: float) -> BallPath:
-    time = STEP * np.arange(1, 90)
+    time = STEP * np.arange(1, 130)
     position = place + np.outer(time - arrives, BALL)
     return BallPath(time, position, np.tile(BALL, (len(time), 1)), np.tile(1e-4 * np.eye(3), (len(time), 1, 1)))
 
@@ -270,9 +271,9 @@ def test_motion_that_is_found_is_the_best_of_all_that_continue_the_executed_one(
             assert list(every) == [old[0]]  # there is nothing to choose
             assert hit is None
             return
-    assert (hit is None) == (best == 0.0)
+    assert abs(best - (0.0 if hit is None else hit.probability)) < ROUNDING
     if hit is not None:
-        assert hit.probability == best == every[hit.theta]
+        assert abs(best - every[hit.theta]) < ROUNDING
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: "_".join(one.name for one in table[0].varied))
