@@ -8,7 +8,8 @@ import numpy as np
 
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import learning_tasks, run_tasks
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 
 REPEATS = 3
 LEAST_SPEED_UP = 1.8  # on 2 cores
@@ -17,7 +18,7 @@ CORES = 2
 
 def run(folder: Path) -> list[Measurement]:
     """Run the learning trials of the default experiment again and again; only a quiet machine gives its best."""
-    config = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+    config = config_for("mujoco")
     # Compiles, and starts the processes, which a campaign does once.
     for jobs in (1, CORES):
         _elapsed(config, folder / f"warm_{jobs}", jobs)

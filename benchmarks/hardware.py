@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import TrialTask, hit_tasks, run_task
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import make_config
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import TrialVoidError
 from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
@@ -82,7 +82,7 @@ def play_campaign(folder: Path, table_path: Path, method: str, balls: int = BALL
     tasks: list[TrialTask] = []
     hits, trials = 0, 0
     with _emulator() as (options, said):
-        config = ExperimentConfig.model_validate({"backend": {"name": "hardware", **options}})
+        config = make_config({"backend": {"name": "hardware", **options}})
         for task in hit_tasks(config, folder / "hardware", method, table_path)[:balls]:
             while trials < MOST_TRIALS * balls and task not in tasks:
                 trials += 1
@@ -185,7 +185,7 @@ def run_cameras(folder: Path) -> list[Measurement]:
             assert board.stderr is not None
             address = f"127.0.0.1:{board.stderr.readline().partition('127.0.0.1:')[2].partition(',')[0]}"
             options = {"board": address, "cameras": {"command_port": ours.recv()}, "camera_patience": 10.0}
-            config = ExperimentConfig.model_validate({"backend": {"name": "hardware", **options}})
+            config = make_config({"backend": {"name": "hardware", **options}})
             with claimed_priority(BACKEND_PRIORITY):
                 run_trial(config, Trial(TrialKind.THROW, 0, 1), Bystander(), path, STALLS * (SEEN + STALLED))
         finally:

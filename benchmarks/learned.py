@@ -5,7 +5,8 @@ from pathlib import Path
 
 from imolo.ball.model import BallModel
 from imolo.campaigns.campaign import learning_tasks, run_tasks
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 from imolo.contracts.trial import TrialKind
 from imolo.method.forward_model import TrainingData
 from imolo.trials.learning import learn_ball, learn_motions
@@ -28,7 +29,7 @@ class Learned:
 
 def learn(folder: Path) -> Learned:
     """Run the throws and training motions of the default experiment, with logs in `folder`."""
-    config = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+    config = config_for("mujoco")
     tasks = learning_tasks(config, folder)
     run_tasks(tasks, jobs=-1)
     throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]

@@ -8,18 +8,19 @@ import numpy as np
 
 from benchmarks.bare import recording
 from benchmarks.measurement import Measurement
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.motion import MotionTemplate
 from imolo.trials.trial import run_trial
 from imolo_msgs import mocap_frame_t, trial_event_t
 
 TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.7}
 REPEATS = 7
 DURATION = 1.1  # [s] a throw, as long as the ball flies
-MOTION, ONSET = Theta(k=0.06, t_w=0.28), 0.5  # [s] the robot waits as long as for a real ball
+THETA, ONSET = (0.06, 0.28), 0.5  # [s] the robot waits as long as for a real ball
 
 # Of this process, since other programs share the machine.
 clock = time.process_time
@@ -28,8 +29,8 @@ clock = time.process_time
 class TimedMotion:
     """Commands one motion in every frame, as a planner does, and measures from the trial's start to its end."""
 
-    def __init__(self) -> None:
-        self._commands = MotionTemplate().commands(MOTION, round(ONSET * 1e6))
+    def __init__(self, motion: MotionTemplate) -> None:
+        self._commands = motion.commands(THETA, round(ONSET * 1e6))
         self.elapsed = 0.0
 
     def attach(self, bus: Bus) -> None:
@@ -55,7 +56,7 @@ def run(engine: str) -> list[Measurement]:
     Raises:
         RuntimeError: The two do not do the same.
     """
-    config = ExperimentConfig(backend=BackendConfig(name=engine))
+    config = config_for(engine)
     with tempfile.TemporaryDirectory() as folder:
         log_path = Path(folder) / "trial.lcmlog"
         run_timed(config, log_path)  # compiles, and takes the start-up check out of the recording
@@ -74,6 +75,6 @@ def run(engine: str) -> list[Measurement]:
 
 def run_timed(config: ExperimentConfig, log_path: Path) -> float:
     """Return how long a trial takes once everything is loaded [s]."""
-    controller = TimedMotion()
+    controller = TimedMotion(config.motion)
     run_trial(config, Trial(TrialKind.HIT, 0, config.seed), controller, log_path, DURATION)
     return controller.elapsed

@@ -13,6 +13,7 @@ from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
 from imolo.method.planner import Planner
+from imolo.method.plugin import planner_config
 from imolo.method.table import LookupTable
 
 TARGET = 1000.0  # [µs] for 99 of 100 decisions
@@ -31,7 +32,7 @@ def run(learned: Learned, method: str, table: LookupTable, folder: Path) -> list
     run_tasks(tasks, jobs=-1)
     config = learned.config
     bus = Bus()
-    planner = Planner(table, learned.ball_models[method], config.methods[method].planner, config.tracker)
+    planner = Planner(table, learned.ball_models[method], planner_config(config, method), config.tracker)
     planner.attach(bus)
     commands: list[object] = []
     bus.subscribe(channels.ACTUATOR_COMMAND, commands.append)

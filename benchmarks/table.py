@@ -1,7 +1,7 @@
 """How fast the lookup table is built and asked, beside a k-d tree over the same tuples."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.learned import Learned
 from benchmarks.measurement import Measurement
-from imolo.method.motion import Theta
+from imolo.method.commands import to_microseconds
+from imolo.method.motion import motion_rows
 from imolo.method.table import Executed, LookupTable
 from imolo.trials.learning import build_table
 
@@ -48,27 +49,31 @@ def _compare(table: LookupTable) -> tuple[float, float]:
     rows = rng.integers(len(table), size=QUERIES)
     positions = table.position[rows] + rng.uniform(-0.004, 0.004, (QUERIES, 3))
     times = (table.time[rows] + rng.uniform(-0.004, 0.004, QUERIES)).tolist()
-    executed = [Executed(Theta(*theta), ELAPSED) for theta in table.theta[rows].tolist()]
+    executed = [Executed(tuple(theta), ELAPSED) for theta in table.theta[rows].tolist()]
     answers, query = _median(table.query, positions, times, executed)
-    same, tree = _median(_tree(table), positions, times, executed)
+    same, tree = _median(_tree(table, executed), positions, times, executed)
     if answers != same:
         raise RuntimeError(f"the table answered {answers} queries, the tree {same}")
     return query, tree
 
 
-def _tree(table: LookupTable) -> Ask:
+def _tree(table: LookupTable, asked: Sequence[Executed]) -> Ask:
     tree = cKDTree(table.position)
     reach, tolerance = table.grid.spacing / 2, table.grid.time_tolerance / 2
     norm = np.inf if table.grid.match == "cell" else 2.0
+    count = table.theta.shape[1]
+    motions = motion_rows(table.template, table.theta)
+    rows = dict(zip(asked, motion_rows(table.template, np.array([one.theta for one in asked])), strict=True))
 
     def ask(position: Array, when: float, executed: Executed) -> object:
         near = tree.query_ball_point(position, reach, p=norm)
         if not near:
             return None
         distance = np.abs(table.time[near] - when)
-        (k, t_w), elapsed = executed
-        new_k, new_t_w = table.theta[near].T
-        allowed = (distance < tolerance) & (new_k == k) & ((new_t_w == t_w) | (elapsed <= np.minimum(new_t_w, t_w)))
+        old, new = rows[executed], motions[near]
+        same = new[:, :count] == old[:count]
+        unseen = to_microseconds(executed.elapsed) <= np.minimum(new[:, count:], old[count:])
+        allowed = (distance < tolerance) & (same | unseen).all(axis=1)
         return near[int(np.argmin(np.where(allowed, distance, np.inf)))] if allowed.any() else None
 
     return ask

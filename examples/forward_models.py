@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from imolo.campaigns.campaign import learning_tasks, run_tasks
-from imolo.config.experiment import METHODS, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 from imolo.contracts.trial import TrialKind
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, TrainingData
 from imolo.trials.learning import learn_motions
@@ -23,7 +24,7 @@ MODELS = {
     "SVR, the paper's": PAPER_SVR,
     "SVR, inputs standardised": PAPER_SVR.model_copy(update={"inputs": "standardized"}),
     "Gaussian process": GPR,
-    "Gaussian process of `improved`": METHODS["improved"].forward_model,
+    "Gaussian process of `improved`": GPR.model_copy(update={"kernel": "matern", "time": "since_swing"}),
     "neural network": MLP,
 }
 
@@ -37,19 +38,17 @@ def record(config: ExperimentConfig, folder: Path) -> TrainingData:
 
 def main() -> None:
     """Print the distance between predicted and executed hand for each model."""
-    backend = {"name": sys.argv[1] if len(sys.argv) > 1 else "mujoco"}
-    undisturbed = {"disturbance": {"profile": "none"}}
+    backend = sys.argv[1] if len(sys.argv) > 1 else "mujoco"
+    config = config_for(backend)
+    grid = config_for(backend, training={"motions": GRID}, simulation={"disturbance": {"profile": "none"}})
     with tempfile.TemporaryDirectory() as folder:
-        learned = record(ExperimentConfig.model_validate({"backend": backend}), Path(folder) / "learned")
-        grid = {"backend": backend, "training": {"motions": GRID}, "simulation": undisturbed}
-        executed = record(ExperimentConfig.model_validate(grid), Path(folder) / "executed")
+        learned = record(config, Path(folder) / "learned")
+        executed = record(grid, Path(folder) / "executed")
     since_swing = executed.time - executed.theta[:, 1]
     in_table = (since_swing > 0.14) & (since_swing < 0.21)
-    table = Table(
-        "model", "mean [mm]", "median [mm]", "90 % [mm]", title=f"Hand error on a 7 x 7 grid, {backend['name']}"
-    )
-    for name, config in MODELS.items():
-        model = ForwardModel(config).fit(learned.theta, learned.time, learned.position)
+    table = Table("model", "mean [mm]", "median [mm]", "90 % [mm]", title=f"Hand error on a 7 x 7 grid, {backend}")
+    for name, chosen in MODELS.items():
+        model = ForwardModel(chosen, config.motion).fit(learned.theta, learned.time, learned.position)
         error = 1e3 * np.linalg.norm(model.predict(executed.theta, executed.time) - executed.position, axis=1)[in_table]
         table.add_row(name, f"{error.mean():.0f}", f"{np.median(error):.0f}", f"{np.percentile(error, 90):.0f}")
     Console().print(table)

@@ -5,16 +5,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from requirements import BACKENDS as BACKENDS
+from liberobot import MOTION
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import make_config
+from imolo.contracts.planner import Controller
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.motion import Theta
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
-from imolo.trials.trial import Bystander, Controller, run_trial
+from imolo.trials.trial import Bystander, run_trial
 from imolo_msgs import actuator_command_t, marker_t, mocap_frame_t, plan_t, trial_event_t
 
 COARSE = 5e-4  # [s] for claims that are not about the precision of the physics
@@ -23,22 +25,32 @@ PERFECT_CAMERAS = {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 
 
 
 def config(
-    backend: str, timestep: float = COARSE, options: Mapping[str, Any] | None = None, seed: int = 1, **simulation: Any
+    backend: str,
+    timestep: float = COARSE,
+    options: Mapping[str, Any] | None = None,
+    seed: int = 1,
+    robot: Mapping[str, Any] | None = None,
+    **simulation: Any,
 ) -> ExperimentConfig:
-    return ExperimentConfig.model_validate(
+    return make_config(
         {
             "seed": seed,
             "backend": {"name": backend, **(options or {})},
+            "robot": {"name": "liberobot", **(robot or {})},
             "simulation": {"timestep": timestep, **simulation},
         }
     )
 
 
 def quiet(
-    backend: str, timestep: float = COARSE, options: Mapping[str, Any] | None = None, **simulation: Any
+    backend: str,
+    timestep: float = COARSE,
+    options: Mapping[str, Any] | None = None,
+    robot: Mapping[str, Any] | None = None,
+    **simulation: Any,
 ) -> ExperimentConfig:
     """Return a config without any chance that the robot or its markers feel."""
-    return config(backend, timestep, options, disturbance=UNDISTURBED, mocap=PERFECT_CAMERAS, **simulation)
+    return config(backend, timestep, options, 1, robot, disturbance=UNDISTURBED, mocap=PERFECT_CAMERAS, **simulation)
 
 
 def play(
@@ -55,8 +67,8 @@ def play(
 
 
 def play_motion(chosen: ExperimentConfig, path: Path, theta: Theta, after: float) -> Log:
-    """Run one motion until `after` seconds after t_w."""
-    return play(chosen, path, MotionPlayer(chosen.motion, theta), START_MARGIN + theta.t_w + after)
+    """Run one motion until `after` seconds after the start of its swing."""
+    return play(chosen, path, MotionPlayer(chosen.motion, theta), START_MARGIN + chosen.motion.swing_of(theta) + after)
 
 
 class Commander:
@@ -74,8 +86,8 @@ class Commander:
         bus.subscribe(channels.MOCAP, on_frame)
 
 
-def command(onset_utime: int, theta: Theta = Theta(0.0, 0.3)) -> actuator_command_t:  # noqa: B008 (immutable)
-    return MotionTemplate().commands(theta, onset_utime).to_message(0, 1)
+def command(onset_utime: int, theta: Theta = (0.0, 0.3)) -> actuator_command_t:
+    return MOTION.commands(theta, onset_utime).to_message(0, 1)
 
 
 def events(log: Log, name: str) -> list[trial_event_t]:
@@ -83,10 +95,10 @@ def events(log: Log, name: str) -> list[trial_event_t]:
 
 
 def hand_in_truth(log: Log, utime: int) -> np.ndarray:
-    """Return the right hand at a time, linear between two messages [m], shape (3,)."""
+    """Return the hand that learns at a time, linear between two messages [m], shape (3,)."""
     truth = log.messages[channels.TRUTH_ROBOT]
     times = [message.utime for message in truth]
-    hand = np.array([message.right_hand_position for message in truth])
+    hand = np.array([message.effector_position[0] for message in truth])
     return np.array([np.interp(utime, times, hand[:, axis]) for axis in range(3)])
 
 
@@ -109,6 +121,7 @@ def event(name: str, utime: int, robot: str = "liberobot", trial: int = 0) -> tr
 def plan(utime: int, state: int = plan_t.KEPT, **values: Any) -> plan_t:
     message = plan_t()
     message.utime, message.state = utime, state
+    message.num_parameters = len(values.get("theta", ()))
     for name, value in values.items():
         setattr(message, name, value)
     return message

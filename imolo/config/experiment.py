@@ -112,7 +112,10 @@ class ExperimentConfig(Model):
         channels = self.simulation.actuators.channels
         for phase in self.motion.commands(self.training.motions[0], 0).targets:
             if len(phase) != len(channels):
-                raise ValueError(f"the motion commands {len(phase)} channels, the actuators have {len(channels)}")
+                raise ValueError(
+                    f"the motion commands {len(phase)} channels, the actuators have {len(channels)}; "
+                    f"give every phase {len(channels)} targets"
+                )
         return self
 
     @property

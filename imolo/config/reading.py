@@ -12,6 +12,26 @@ from imolo.errors import ConfigError, did_you_mean
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
+MOVED = {
+    "simulation.pneumatics": "simulation.actuators",
+    "simulation.pressure_noise": "simulation.actuators.pressure_noise",
+    "simulation.pressure_rate": "simulation.sensor_rate",
+    "simulation.sole": "robot.sole",
+    "robot.hand_marker": "the first of the effectors of the robot's `Body`",
+    "robot.other_hand_marker": "the second of the effectors of the robot's `Body`",
+    "motion.u_m": "motion.phases[].target",
+    "motion.fixed_target": "motion.phases[].target",
+    "motion.fixed_switch_time": "motion.phases[].until",
+    "motion.u_k": "motion.varied[].direction",
+    "motion.k_range": "motion.varied[].range",
+    "motion.changed_phase": "motion.varied[].phase",
+    "motion.switch_phase": "motion.varied[].phase",
+    "grid.k": "grid.parameters.k",
+    "grid.t_w": "grid.parameters.t_w",
+    "hit.plate_width": "hit.effector_width",
+}
+"""Where keys of earlier versions are now, by section and name."""
+
 
 def read_yaml(path: Path, least: str) -> dict[str, Any]:
     """Read the settings of a YAML file.
@@ -72,7 +92,9 @@ def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         known = _keys_beside(model, first["loc"])
-        message = f"unknown key {_short(key)}{did_you_mean(str(first['loc'][-1]), known)}"
+        moved = MOVED.get(".".join(str(part) for part in first["loc"][-2:]))
+        hint = f"; it is now {moved}" if moved else did_you_mean(str(first["loc"][-1]), known)
+        message = f"unknown key {_short(key)}{hint}"
         if known:
             message += f" (known: {', '.join(known)})"
     elif first["type"] == "missing":

@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from requirements import BACKENDS
+from requirements import BACKEND_PARAMS
 
 from imolo.contracts.engine import Engine, Scene
 
@@ -20,7 +20,7 @@ ENGINES = {
 MakeEngine = Callable[..., Engine]
 
 
-@pytest.fixture(params=BACKENDS)
+@pytest.fixture(params=BACKEND_PARAMS)
 def engine_name(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name

@@ -1,7 +1,7 @@
 """Every engine gives what the conformance kit knows to be true, or declares with its reason that it does not."""
 
 import pytest
-from requirements import AVAILABLE, BACKENDS
+from requirements import AVAILABLE, BACKEND_PARAMS
 
 from imolo.conformance.suite import Suite
 from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
@@ -9,7 +9,7 @@ from imolo.contracts.registry import BACKENDS
 from imolo_backends.conformance import SCENES
 
 
-@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("name", BACKEND_PARAMS)
 def test_the_engine_is_there_to_be_checked(name: str) -> None:
     assert BACKENDS.status(name).problem == ""
 

@@ -7,12 +7,12 @@ from types import ModuleType
 
 import pytest
 from command_line import Run, is_one_line_about
-from requirements import BACKENDS
+from requirements import BACKEND_PARAMS
 
 from imolo.contracts import registry
 
 
-@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("name", BACKEND_PARAMS)
 def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
     code, output, errors = run("backends")
     assert (code, errors) == (0, "")
@@ -62,7 +62,7 @@ def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "ode", wrong)
     for module in ("ode_engine", "ode_model"):
-        monkeypatch.delitem(sys.modules, f"imolo_backends.{module}", raising=False)
+        monkeypatch.delitem(sys.modules, f"imolo_backends.engines.{module}", raising=False)
     Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
     code, _, errors = run("compare", "experiment.yaml")
     assert code == 2

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from conftest import ENGINES
+from liberobot import BODY
 
 from imolo.contracts.engine import Array
 from imolo.errors import BackendError
@@ -15,7 +16,7 @@ from imolo_backends.simulation.start_up import check_start_up
 @pytest.mark.parametrize("timestep", [1e-4, 1e-3])
 def test_every_engine_passes(engine_name: str, engine_module: ModuleType, timestep: float) -> None:
     _, engine, options = ENGINES[engine_name]
-    check_start_up(getattr(engine_module, engine), getattr(engine_module, options)(), timestep)
+    check_start_up(getattr(engine_module, engine), getattr(engine_module, options)(), timestep, BODY)
 
 
 class Damped(MujocoEngine):
@@ -28,7 +29,7 @@ class Damped(MujocoEngine):
 
 def test_default_damping_of_the_ball_is_caught() -> None:
     with pytest.raises(BackendError, match="free fall"):
-        check_start_up(Damped, MujocoOptions(), 1e-4)
+        check_start_up(Damped, MujocoOptions(), 1e-4, BODY)
 
 
 class Limitless(MujocoEngine):
@@ -41,4 +42,4 @@ class Limitless(MujocoEngine):
 
 def test_joint_limits_that_are_not_enforced_are_caught() -> None:
     with pytest.raises(BackendError, match="joint limits are not enforced"):
-        check_start_up(Limitless, MujocoOptions(), 1e-4)
+        check_start_up(Limitless, MujocoOptions(), 1e-4, BODY)

@@ -16,7 +16,7 @@ campaign: {learning_throws: 4, balls: 2}
 methods:
   quick:
     forward_model: {parameters: {C: 100.0, epsilon: 0.001, gamma: 0.3}, inputs: standardized}
-    grid: {spacing: 0.02, time_tolerance: 0.02, unique: all, k: {start: -1.0, stop: 1.0, step: 0.05}}
+    grid: {spacing: 0.02, time_tolerance: 0.02, unique: all, parameters: {k: {step: 0.05}}}
 """
 
 

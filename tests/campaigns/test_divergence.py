@@ -6,21 +6,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from liberobot import BODY
 from numpy.typing import NDArray
 from played_trials import COARSE, config
 
+from imolo.config.experiment import PluginConfig
 from imolo.config.model import Model
-from imolo.config.simulation import SimulationConfig
 from imolo.contracts.engine import EngineState, Scene
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import DivergenceError
 from imolo.messaging.bus import Bus
 from imolo_backends.simulation.simulated import simulated_plugin
-from imolo_robots.liberobot.body import LINK_NAMES
 
 Array = NDArray[np.float64]
 BREAKS_AT = 0.0125  # [s]
-LOOK = 1.0 / SimulationConfig().truth_rate  # [s] between two looks at the state
+CONFIG = config("mujoco").model_copy(update={"backend": PluginConfig(name="stub")})
+LOOK = 1.0 / CONFIG.simulation.truth_rate  # [s] between two looks at the state
 SEEN_AT = LOOK * ceil(BREAKS_AT / LOOK)
 
 
@@ -45,8 +46,8 @@ class FrozenEngine:
         self._parts = {
             "joint_angle": np.array(scene.joint_angle),
             "joint_velocity": np.zeros(8),
-            "link_position": np.ones((len(LINK_NAMES), 3)),
-            "link_rotation": np.tile(np.eye(3), (len(LINK_NAMES), 1, 1)),
+            "link_position": np.ones((len(BODY.link_names), 3)),
+            "link_rotation": np.tile(np.eye(3), (len(BODY.link_names), 1, 1)),
             "base_quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
             "ball_position": np.array(scene.ball.position),
             "ball_velocity": np.zeros(3),
@@ -77,8 +78,7 @@ def breaking(part: str, index: Any, value: float) -> type[FrozenEngine]:
 
 def run(engine: type[FrozenEngine], until: float) -> None:
     plugin = simulated_plugin(engine, NoOptions, "breaks")
-    chosen = config("stub")
-    backend = plugin.create(chosen, NoOptions())
+    backend = plugin.create(CONFIG, NoOptions())
     bus = Bus()
     backend.start(bus, Trial(TrialKind.TRAINING, 3, 1))
     try:
@@ -93,7 +93,7 @@ def run(engine: type[FrozenEngine], until: float) -> None:
     [
         ("joint_angle", 1, "joint right_knee"),
         ("joint_velocity", 6, "joint right_shoulder"),
-        ("link_position", (0, 2), "the trunk"),
+        ("link_position", (0, 2), "link trunk"),
         ("ball_position", 0, "the ball"),
     ],
 )

@@ -8,16 +8,16 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from played_trials import BACKENDS, COARSE, hand_in_truth, play_motion, quiet
-from requirements import needs
+from liberobot import CONFIG, TRAINING_MOTIONS
+from played_trials import COARSE, hand_in_truth, play_motion, quiet
+from requirements import BACKEND_PARAMS, needs
 
-from imolo.config.simulation import ContactConfig
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.motion import Theta
 from imolo.trials.recordings import last_plan
 
-SWING = 0.17  # [s] since t_w, in the middle of the samples of Sec. VII-B
+SWING = CONFIG.training.comparison_time  # [s] since t_w, in the middle of the samples of Sec. VII-B
 FINE = 1e-4  # [s] Sec. VI
 SHOULDERS = slice(6, 8)
 
@@ -28,10 +28,10 @@ def motion(
     theta: Theta,
     sole: Literal["semicircular", "flat"] = "semicircular",
     timestep: float = COARSE,
-    contact_friction: float = ContactConfig().friction,
+    contact_friction: float = CONFIG.simulation.contact.friction,
     **options: str,
 ) -> Log:
-    chosen = quiet(backend, timestep, options, sole=sole, contact={"friction": contact_friction})
+    chosen = quiet(backend, timestep, options, {"sole": sole}, contact={"friction": contact_friction})
     with TemporaryDirectory() as folder:
         return play_motion(chosen, Path(folder) / "log", theta, SWING + 0.03)
 
@@ -43,8 +43,8 @@ def hand(log: Log) -> np.ndarray:
     return hand_in_truth(log, plan.plan_onset_utime + round((plan.theta[1] + SWING) * 1e6))
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("theta", [Theta(0.0, 0.31), Theta(1.0, 0.41), Theta(-1.0, 0.21)])
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
+@pytest.mark.parametrize("theta", [(0.0, 0.31), (1.0, 0.41), (-1.0, 0.21)])
 def test_robot_jumps_and_swings(backend: str, theta: Theta) -> None:
     truth = motion(backend, theta).messages[channels.TRUTH_ROBOT]
     height = np.array([message.base_position[2] for message in truth])
@@ -56,36 +56,36 @@ def test_robot_jumps_and_swings(backend: str, theta: Theta) -> None:
     assert (shoulder[0] < 1.0).all()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_k_leads_the_hand_sideways(backend: str) -> None:
-    right, middle, left = (hand(motion(backend, Theta(k, 0.31)))[1] for k in (-1.0, 0.0, 1.0))
+    right, middle, left = (hand(motion(backend, (k, 0.31)))[1] for k in (-1.0, 0.0, 1.0))
     # The ball is 90 mm wide: from end to end k reaches over more than one ball.
     assert right < middle < left
     assert left - right > 0.09
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_mirrored_k_mirrors_the_trunk(backend: str) -> None:
     """The robot is symmetric, so +k and -k lean it equally far to either side."""
-    one, other = (motion(backend, Theta(k, 0.31)).messages[channels.TRUTH_ROBOT] for k in (-0.5, 0.5))
+    one, other = (motion(backend, (k, 0.31)).messages[channels.TRUTH_ROBOT] for k in (-0.5, 0.5))
     lean = np.array([message.base_position[1] for message in one])
     mirrored = -np.array([message.base_position[1] for message in other])
     # What an engine adds by the order in which it solves its contacts is small beside the lean.
     assert abs(lean - mirrored).max() < 0.1 * abs(lean).max()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_t_w_leads_the_hand_forward_and_up(backend: str) -> None:
-    early, middle, late = (hand(motion(backend, Theta(0.0, t_w))) for t_w in (0.21, 0.31, 0.41))
+    early, middle, late = (hand(motion(backend, (0.0, t_w))) for t_w in (0.21, 0.31, 0.41))
     for axis in (0, 2):
         assert early[axis] < middle[axis] < late[axis]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
-    truth = motion(backend, Theta(0.0, 0.31)).messages[channels.TRUTH_ROBOT]
+    truth = motion(backend, (0.0, 0.31)).messages[channels.TRUTH_ROBOT]
     sideways = abs(np.array([message.base_position[1] for message in truth])).max()
-    leaning = abs(np.array([m.base_position[1] for m in motion(backend, Theta(1.0, 0.31)).messages["TRUTH_ROBOT"]]))
+    leaning = abs(np.array([m.base_position[1] for m in motion(backend, (1.0, 0.31)).messages["TRUTH_ROBOT"]]))
     assert sideways < 0.02 * leaning.max()
 
 
@@ -95,12 +95,12 @@ def test_motion_without_k_stays_in_the_sagittal_plane(backend: str) -> None:
 NO_SLIP = 3.0
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKEND_PARAMS)
 def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
     """Sec. V-A: with flat soles the motion stays in the sagittal plane, whatever k."""
 
     def reach(sole: Literal["semicircular", "flat"]) -> float:
-        right, left = (hand(motion(backend, Theta(k, 0.31), sole, FINE, NO_SLIP))[1] for k in (-1.0, 1.0))
+        right, left = (hand(motion(backend, (k, 0.31), sole, FINE, NO_SLIP))[1] for k in (-1.0, 1.0))
         return float(left - right)
 
     assert abs(reach("flat")) < 0.1 * reach("semicircular")

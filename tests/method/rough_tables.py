@@ -3,6 +3,7 @@
 from typing import Literal
 
 import numpy as np
+from liberobot import MOTION, TRAINING_MOTIONS
 from numpy.typing import NDArray
 
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig
@@ -11,8 +12,10 @@ from imolo.method.table import GridAxis, LookupTable, TableGrid
 Array = NDArray[np.float64]
 
 ROUGH = TableGrid(
-    t_w=GridAxis(start=0.21, stop=0.41, step=0.01),
-    k=GridAxis(start=-1.0, stop=1.0, step=0.125),
+    parameters={
+        "t_w": GridAxis(start=0.21, stop=0.41, step=0.01),
+        "k": GridAxis(start=-1.0, stop=1.0, step=0.125),
+    },
     time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.01),
     spacing=0.02,
     time_tolerance=0.02,
@@ -30,7 +33,7 @@ def fitted(config: ForwardModelConfig) -> ForwardModel:
     since = np.linspace(0.135, 0.215, 11)
     theta = np.repeat(TRAINING_MOTIONS, len(since), axis=0)
     time = theta[:, 1] + np.tile(since, len(TRAINING_MOTIONS))
-    return ForwardModel(config).fit(theta, time, hand(theta, time))
+    return ForwardModel(config, MOTION).fit(theta, time, hand(theta, time))
 
 
 SHARP = fitted(ForwardModelConfig(parameters={"C": 100.0, "epsilon": 0.001, "gamma": 3.0}, inputs="standardized"))

@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 import pytest
+from liberobot import MOTION, TRAINING_MOTIONS
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -39,7 +40,7 @@ SAMPLES = paper_samples()
 
 
 def fitted(config: ForwardModelConfig, samples: TrainingData = SAMPLES) -> ForwardModel:
-    return ForwardModel(config).fit(samples.theta, samples.time, samples.position)
+    return ForwardModel(config, MOTION).fit(samples.theta, samples.time, samples.position)
 
 
 def queries(count: int) -> tuple[Array, Array]:
@@ -150,7 +151,7 @@ def test_samples_that_all_lie_in_the_tube_give_a_constant() -> None:
 
 @pytest.mark.parametrize("config", [GPR, MLP])
 def test_one_sample_is_enough(config: ForwardModelConfig) -> None:
-    model = ForwardModel(config).fit([[0.0, 0.3]], [0.45], [[0.4, 0.0, 1.2]])
+    model = ForwardModel(config, MOTION).fit([[0.0, 0.3]], [0.45], [[0.4, 0.0, 1.2]])
     np.testing.assert_allclose(model.predict([[0.0, 0.3]], [0.45]), [[0.4, 0.0, 1.2]], atol=1e-3)
 
 
@@ -160,6 +161,8 @@ def test_one_sample_is_enough(config: ForwardModelConfig) -> None:
         (np.empty((0, 2)), np.empty(0), np.empty((0, 3)), "no training samples"),
         (np.zeros((2, 2)), np.zeros(3), np.zeros((2, 3)), "time has 3 samples, theta 2"),
         (np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), r"theta has shape \(2, 3\); give \(N, 2\)"),
+        (np.zeros(2), np.zeros(2), np.zeros((2, 3)), r"theta has shape \(2,\); give \(N, n\)"),
+        (np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)), r"position has shape \(2, 2\); give \(N, 3\)"),
         (np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 3)), r"time has shape \(2, 1\); give \(N,\)"),
         (np.zeros((2, 2)), np.zeros(2), np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]), "position of sample 1"),
         (np.array([[0.0, np.inf]]), np.zeros(1), np.zeros((1, 3)), "theta of sample 0"),
@@ -167,11 +170,11 @@ def test_one_sample_is_enough(config: ForwardModelConfig) -> None:
 )
 def test_useless_training_data_is_named(theta: Array, time: Array, position: Array, named: str) -> None:
     with pytest.raises(TrainingDataError, match=named):
-        ForwardModel().fit(theta, time, position)
+        ForwardModel(PAPER_SVR, MOTION).fit(theta, time, position)
 
 
 def test_predicting_before_fitting_is_an_error() -> None:
-    for method in (ForwardModel().predict, ForwardModel(GPR).predict_std):
+    for method in (ForwardModel(PAPER_SVR, MOTION).predict, ForwardModel(GPR, MOTION).predict_std):
         with pytest.raises(NotTrainedError, match="call fit first"):
             method([[0.0, 0.3]], [0.4])
 

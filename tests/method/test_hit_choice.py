@@ -4,16 +4,21 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from liberobot import BALL as FOAM_BALL
+from liberobot import BODY, MOTION
+from made_up_motions import MADE_UP
 from numpy.typing import NDArray
 from rough_tables import SHARP, TABLE
 
+from imolo.errors import ConfigError
+from imolo.method.commands import to_microseconds
 from imolo.method.forward_model import GPR, ForwardModel
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.hit_choice import HitChooser, HitConfig, ProbableHit, group_by_motion
-from imolo.method.hit_kernel import BallPath, Extent, Swings, meeting_probability
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.hit_kernel import BallPath, Extent, Swings, meeting_probability, most_probable_of
+from imolo.method.motion import PhasedMotion, Theta
 
 Array = NDArray[np.float64]
 
@@ -90,7 +95,7 @@ def swings(ks: tuple[float, ...] = (-1.0, 0.0, 1.0), std: dict[float, float] | N
     time = theta[:, 1] + np.tile(since, len(thetas))
     position = np.concatenate([hand(k, since) for k, _ in thetas])
     spreads = np.array([[(std or {}).get(k, 0.02)] * 3 for k, _ in thetas])
-    return group_by_motion(theta, time, position, spreads, 0.0)
+    return group_by_motion(MOTION, theta, time, position, spreads, 0.0)
 
 
 def ball(y: float, arrives: float, std: float = 0.01) -> BallPath:
@@ -100,8 +105,11 @@ def ball(y: float, arrives: float, std: float = 0.01) -> BallPath:
     return BallPath(time, position, np.tile(BALL, (len(time), 1)), np.tile(std**2 * np.eye(3), (len(time), 1, 1)))
 
 
-def chooser(table: Swings, **values: object) -> HitChooser:
-    return HitChooser(table, MotionTemplate(), HitConfig.model_validate(values), STEP)
+SIZES = {"effector_width": BODY.effectors[0].width, "ball_radius": FOAM_BALL.radius}
+
+
+def chooser(table: Swings, template: PhasedMotion = MOTION, **values: object) -> HitChooser:
+    return HitChooser(table, template, HitConfig.model_validate({**SIZES, **values}), STEP)
 
 
 def chosen(hit: ProbableHit | None) -> tuple[Theta, int]:
@@ -112,7 +120,7 @@ def chosen(hit: ProbableHit | None) -> tuple[Theta, int]:
 def test_motion_that_meets_the_ball_is_chosen() -> None:
     table = swings()
     hit = chooser(table).start(ball(-0.4, 0.6))
-    assert chosen(hit) == (Theta(-1.0, 0.3), 1)
+    assert chosen(hit) == ((-1.0, 0.3), 1)
     assert hit is not None
     assert hit.probability > 0.99
     assert np.linalg.norm(hit.position - (1.0, -0.4, 1.0)) < 0.05
@@ -121,7 +129,7 @@ def test_motion_that_meets_the_ball_is_chosen() -> None:
 def test_other_hand_is_the_mirrored_hand_of_the_opposite_k() -> None:
     """The left hand of k = 1 is where the right one of k = -1 is, y reversed."""
     hit = chooser(swings()).start(ball(0.4, 0.6))
-    assert chosen(hit) == (Theta(1.0, 0.3), -1)
+    assert chosen(hit) == ((1.0, 0.3), -1)
     assert hit is not None
     assert np.linalg.norm(hit.position - (1.0, 0.4, 1.0)) < 0.05
 
@@ -131,7 +139,8 @@ def test_mirrored_ball_gets_the_mirrored_motion_with_the_same_probability() -> N
     right, left = table.start(ball(-0.37, 0.6)), table.start(BallPath(*_mirrored(ball(-0.37, 0.6))))
     assert right is not None
     assert left is not None
-    assert (left.theta.k, left.theta.t_w, left.side) == (-right.theta.k, right.theta.t_w, -right.side)
+    (k, t_w), (other_k, other_t_w) = right.theta, left.theta
+    assert (other_k, other_t_w, left.side) == (-k, t_w, -right.side)
     assert abs(left.probability - right.probability) < 1e-12
 
 
@@ -142,7 +151,7 @@ def _mirrored(path: BallPath) -> BallPath:
 
 def test_more_certain_motion_is_preferred() -> None:
     table = swings(ks=(-0.2, 0.0), std={-0.2: 0.10, 0.0: 0.02})
-    assert chosen(chooser(table, start_probability=0.0).start(ball(-0.22, 0.6)))[0].k == 0.0
+    assert chosen(chooser(table, start_probability=0.0).start(ball(-0.22, 0.6)))[0][0] == 0.0
 
 
 def test_ball_out_of_reach_starts_nothing() -> None:
@@ -161,29 +170,149 @@ def test_likely_enough_motion_does_not_wait() -> None:
 
 def test_update_keeps_k_and_may_move_t_w() -> None:
     table = chooser(swings())
-    assert chosen(table.update(ball(-0.4, 0.6), Theta(-1.0, 0.2), 0.1))[0] == Theta(-1.0, 0.3)
-    assert chosen(table.update(ball(-0.2, 0.5), Theta(-1.0, 0.3), 0.1))[0].k == -1.0
+    assert chosen(table.update(ball(-0.4, 0.6), (-1.0, 0.2), 0.1))[0] == (-1.0, 0.3)
+    assert chosen(table.update(ball(-0.2, 0.5), (-1.0, 0.3), 0.1))[0][0] == -1.0
 
 
 def test_update_before_the_onset_is_free() -> None:
-    assert chosen(chooser(swings()).update(ball(-0.2, 0.5), Theta(-1.0, 0.3), -0.001))[0] == Theta(0.0, 0.2)
+    assert chosen(chooser(swings()).update(ball(-0.2, 0.5), (-1.0, 0.3), -0.001))[0] == (0.0, 0.2)
 
 
 def test_nothing_is_updated_after_the_switch() -> None:
-    assert chooser(swings()).update(ball(-0.4, 0.6), Theta(-1.0, 0.2), 0.21) is None
+    assert chooser(swings()).update(ball(-0.4, 0.6), (-1.0, 0.2), 0.21) is None
+
+
+# Any number of parameters.
+
+SINCE = np.linspace(0.02, 0.08, 13)  # [s] of the swing
+ROUNDING = 1e-13  # of a probability after some hundred operations that are compiled twice
+VALUES = {1: 40, 2: 9, 3: 6, 4: 4}  # of each parameter, by their number
+LEADS = np.array([[0.0, 0.4, 0.0], [0.05, 0.0, 0.2], [0.1, -0.1, 0.1], [-0.1, 0.1, 0.2]])  # [m] over each one's range
+
+
+def lattice_of(template: PhasedMotion) -> Array:
+    """Return all combinations of some values of each parameter, shape (T, n)."""
+    count = VALUES[len(template.varied)]
+    axes = [np.linspace(*template.bounds(one), count + 2)[1:-1].round(6) for one in template.varied]
+    return np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def place_of(template: PhasedMotion, theta: Array) -> Array:
+    """Return where the hand is 50 ms after the start of the swing [m], shape (T, 3)."""
+    low, high = np.array([template.bounds(one) for one in template.varied]).T
+    share = (theta - low) / (high - low) - 0.5
+    return np.asarray((1.0, -0.2, 1.0) + share @ LEADS[: len(low)])
+
+
+def swings_of(template: PhasedMotion) -> Swings:
+    """Return a table in which each parameter leads the hand elsewhere, in place or in time."""
+    motions = lattice_of(template)
+    theta = np.repeat(motions, len(SINCE), axis=0)
+    since = np.tile(SINCE, len(motions))
+    position = place_of(template, theta) + np.outer(since - 0.05, HAND)
+    time = template.swing_start(theta) + since
+    return group_by_motion(template, theta, time, position, np.full((len(motions), 3), 0.03), 0.0)
+
+
+def towards(place: Array, arrives: float) -> BallPath:
+    time = STEP * np.arange(1, 130)
+    position = place + np.outer(time - arrives, BALL)
+    return BallPath(time, position, np.tile(BALL, (len(time), 1)), np.tile(1e-4 * np.eye(3), (len(time), 1, 1)))
+
+
+def best_of_all(
+    template: PhasedMotion, table: Swings, config: HitConfig, path: BallPath, executed: tuple[Theta, int] | None
+) -> tuple[float, dict[Theta, float]]:
+    """Return the highest probability, and that of every motion which continues the executed one, one by one."""
+    extent = Extent(REACH, config.timing_std**2, 0.5 * STEP + 1e-6, config.farthest)
+    found = {}
+    for index, row in enumerate(table.motion.tolist()):
+        theta = tuple(row[: len(template.varied)])
+        if executed is not None:
+            old, elapsed = executed
+            if not template.commands(theta, 0).matches_until(template.commands(old, 0), elapsed):
+                continue
+        found[theta] = most_probable_of(np.array([index]), path, table, extent).probability
+    return max(found.values(), default=0.0), found
+
+
+TABLES = [(template, swings_of(template)) for template in (*MADE_UP, MOTION)]
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    st.sampled_from(TABLES),
+    st.integers(0, 10**6),
+    st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    st.floats(-0.02, 0.02),
+    st.none() | st.tuples(st.integers(0, 10**6), st.integers(-1000, 600_000)),
+)
+def test_motion_that_is_found_is_the_best_of_all_that_continue_the_executed_one(
+    table: tuple[PhasedMotion, Swings],
+    aimed: int,
+    off: tuple[float, float, float],
+    late: float,
+    executed: tuple[int, int] | None,
+) -> None:
+    """Where every value of each parameter is tried."""
+    template, stored = table
+    motions = stored.motion[:, : len(template.varied)]
+    theta = motions[aimed % len(motions)]
+    path = towards(place_of(template, theta) + off, template.swing_of(theta) + 0.05 + late)
+    config = HitConfig.model_validate({**SIZES, "coarse": (99,) * len(theta), "start_probability": 0.0})
+    asked = HitChooser(stored, template, config, STEP)
+    old = None if executed is None else (tuple(motions[executed[0] % len(motions)].tolist()), executed[1])
+    best, every = best_of_all(template, stored, config, path, old)
+    if old is None:
+        hit = asked.start(path)
+    else:
+        hit = asked.update(path, old[0], old[1] * 1e-6)
+        if (old[1] > np.rint(1e6 * template.shows_from([old[0]]))).all():
+            assert list(every) == [old[0]]  # there is nothing to choose
+            assert hit is None
+            return
+    assert abs(best - (0.0 if hit is None else hit.probability)) < ROUNDING
+    if hit is not None:
+        assert abs(best - every[hit.theta]) < ROUNDING
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: "_".join(one.name for one in table[0].varied))
+def test_coarse_search_ends_on_the_motion_that_flies_right_at_the_ball(table: tuple[PhasedMotion, Swings]) -> None:
+    """Within a hand of the best one: from the coarse lattice on, the search goes uphill alone."""
+    template, stored = table
+    motions = stored.motion[:, : len(template.varied)]
+    asked = chooser(stored, template, start_probability=0.0)
+    for theta in motions[:: max(1, len(motions) // 20)]:
+        path = towards(place_of(template, theta), template.swing_of(theta) + 0.05)
+        best, _ = best_of_all(template, stored, HitConfig.model_validate(SIZES), path, None)
+        hit = asked.start(path)
+        assert hit is not None
+        assert hit.probability >= 0.99 * best
+
+
+def test_number_of_coarse_values_is_that_of_the_parameters() -> None:
+    template, stored = TABLES[2]
+    with pytest.raises(ConfigError, match=r"hit\.coarse is \(10, 13\); give 3 numbers, one per parameter"):
+        chooser(stored, template, coarse=(10, 13))
+
+
+def test_chooser_without_the_size_of_hand_and_ball_says_so() -> None:
+    with pytest.raises(ConfigError, match=r"needs hit\.effector_width and hit\.ball_radius"):
+        HitChooser(swings(), MOTION, HitConfig(), STEP)
 
 
 def test_table_gives_every_motion_its_swing() -> None:
     made = TABLE.swings
     assert made.start[-1] == len(TABLE)
-    assert len(made.theta) == len(TABLE.hand_std)
-    for motion in (0, 17, len(made.theta) - 1):
+    assert len(made.motion) == len(TABLE.hand_std)
+    for motion in (0, 17, len(made.motion) - 1):
         rows = slice(made.start[motion], made.start[motion + 1])
         assert (np.diff(made.time[rows]) > 0.0).all()
-        k, switch = made.theta[motion]
-        own = (TABLE.theta[:, 0] == k) & (np.rint(TABLE.theta[:, 1] * 1e6) == switch)
+        k, t_w, k_shows, t_w_shows = made.motion[motion]
+        assert (k_shows, t_w_shows) == (0.0, to_microseconds(t_w))
+        own = (TABLE.theta == (k, t_w)).all(axis=1)
         assert np.array_equal(np.sort(TABLE.time[own]), made.time[rows])
-        assert made.theta[made.mirror[motion]].tolist() == [-k, switch]
+        assert made.motion[made.mirror[motion], :2].tolist() == [-k, t_w]
 
 
 def test_constant_uncertainty_is_the_error_on_motions_left_out() -> None:
@@ -191,7 +320,9 @@ def test_constant_uncertainty_is_the_error_on_motions_left_out() -> None:
     squares = []
     for motion in np.unique(training.theta, axis=0):
         out = (training.theta == motion).all(axis=1)
-        other = ForwardModel(SHARP.config).fit(training.theta[~out], training.time[~out], training.position[~out])
+        other = ForwardModel(SHARP.config, MOTION).fit(
+            training.theta[~out], training.time[~out], training.position[~out]
+        )
         error = other.predict(training.theta[out], training.time[out]) - training.position[out]
         squares.append(np.mean(error**2, axis=0))
     # The floor is found on 200 steps up to the largest error.
@@ -202,6 +333,6 @@ def test_constant_uncertainty_is_the_error_on_motions_left_out() -> None:
 def test_uncertainty_of_a_gaussian_process_is_no_smaller_than_it_says(kernel: str) -> None:
     training = SHARP.training
     config = GPR.model_copy(update={"kernel": kernel})
-    model = ForwardModel(config).fit(training.theta, training.time, training.position)
+    model = ForwardModel(config, MOTION).fit(training.theta, training.time, training.position)
     theta, time = np.array([[0.2, 0.3], [-1.0, 0.4]]), np.array([0.5, 0.55])
     assert (HandUncertainty(model).std(theta, time) >= model.predict_std(theta, time) - 1e-12).all()

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from liberobot import MOTION
 from numpy.typing import NDArray
 
 from imolo.errors import ConfigError, TableFileError
 from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig, TrainingData
 from imolo.method.hand_uncertainty import HandUncertainty
-from imolo.method.motion import MotionTemplate
 from imolo.method.prior import MOST_SAMPLES, fit_forward_model, load_prior
 from imolo.method.regressors import fit_quietly, make_regressor
 from imolo.method.table import GridAxis, LookupTable, TableGrid
@@ -18,8 +18,10 @@ from imolo.method.table import GridAxis, LookupTable, TableGrid
 Array = NDArray[np.float64]
 
 GRID = TableGrid(
-    k=GridAxis(start=-1.0, stop=1.0, step=0.5),
-    t_w=GridAxis(start=0.21, stop=0.41, step=0.05),
+    parameters={
+        "k": GridAxis(start=-1.0, stop=1.0, step=0.5),
+        "t_w": GridAxis(start=0.21, stop=0.41, step=0.05),
+    },
     time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.03),
 )
 SWING = ForwardModelConfig(**{**GPR.model_dump(), "parameters": {"random_state": 0}, "time": "since_swing"})
@@ -49,7 +51,7 @@ def motions(count: int, seed: int) -> tuple[Array, Array]:
 
 
 DENSE, FEW, OTHERS = motions(60, 0), motions(8, 1), motions(60, 2)
-PRIOR = ForwardModel(SWING).fit(*DENSE, bent(*DENSE))
+PRIOR = ForwardModel(SWING, MOTION).fit(*DENSE, bent(*DENSE))
 FEW_SAMPLES = TrainingData(*FEW, shifted(*FEW))
 
 
@@ -61,18 +63,18 @@ def error(model: ForwardModel) -> float:
 def table_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("prior") / "first.npz"
     origin = {"backend": "first", "seed": 3, "config": "abc"}
-    LookupTable.build(PRIOR, GRID, np.random.default_rng(0), origin=origin).save(path)
+    LookupTable.build(PRIOR, GRID, np.random.default_rng(0), robot="liberobot", origin=origin).save(path)
     return path
 
 
 def test_few_trials_upon_a_prior_beat_the_prior_and_the_trials_alone() -> None:
-    together = error(ForwardModel(SWING, PRIOR).fit(*FEW, shifted(*FEW)))
+    together = error(ForwardModel(SWING, MOTION, PRIOR).fit(*FEW, shifted(*FEW)))
     assert together < 0.3 * error(PRIOR)
-    assert together < 0.3 * error(ForwardModel(SWING).fit(*FEW, shifted(*FEW)))
+    assert together < 0.3 * error(ForwardModel(SWING, MOTION).fit(*FEW, shifted(*FEW)))
 
 
 def test_correction_is_a_process_of_the_residuals_in_which_an_unsure_prior_is_noise() -> None:
-    corrected = ForwardModel(SWING, PRIOR).fit(*FEW, shifted(*FEW))
+    corrected = ForwardModel(SWING, MOTION, PRIOR).fit(*FEW, shifted(*FEW))
     residual = shifted(*FEW) - PRIOR.predict(*FEW)
     inputs, queries = (np.column_stack((theta, time - theta[:, 1])) for theta, time in (FEW, OTHERS))
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
@@ -89,42 +91,44 @@ def test_correction_is_a_process_of_the_residuals_in_which_an_unsure_prior_is_no
 
 
 def test_prior_without_a_standard_deviation_can_be_corrected() -> None:
-    prior = ForwardModel(PAPER_SVR).fit(*DENSE, bent(*DENSE))
-    corrected = ForwardModel(SWING, prior).fit(*FEW, shifted(*FEW))
+    prior = ForwardModel(PAPER_SVR, MOTION).fit(*DENSE, bent(*DENSE))
+    corrected = ForwardModel(SWING, MOTION, prior).fit(*FEW, shifted(*FEW))
     assert error(corrected) < error(prior)
     assert (corrected.predict_std(*OTHERS) > 0.0).all()
 
 
 def test_motions_that_are_left_out_are_predicted_upon_the_same_prior() -> None:
-    corrected = HandUncertainty(ForwardModel(SWING, PRIOR).fit(*FEW, shifted(*FEW)))
-    alone = HandUncertainty(ForwardModel(SWING).fit(*FEW, shifted(*FEW)))
+    corrected = HandUncertainty(ForwardModel(SWING, MOTION, PRIOR).fit(*FEW, shifted(*FEW)))
+    alone = HandUncertainty(ForwardModel(SWING, MOTION).fit(*FEW, shifted(*FEW)))
     assert np.linalg.norm(corrected.floor) < 0.5 * np.linalg.norm(alone.floor)
 
 
 def test_table_of_a_corrected_model_gives_the_same_model_again(table_file: Path, tmp_path: Path) -> None:
     config = SWING.model_copy(update={"prior": str(table_file)})
-    model = fit_forward_model(config, FEW_SAMPLES, "liberobot", MotionTemplate())
+    model = fit_forward_model(config, FEW_SAMPLES, "liberobot", MOTION)
     assert error(model) < 0.3 * error(PRIOR)
-    LookupTable.build(model, GRID, np.random.default_rng(0)).save(tmp_path / "second.npz")
+    LookupTable.build(model, GRID, np.random.default_rng(0), robot="liberobot").save(tmp_path / "second.npz")
     again = LookupTable.load(tmp_path / "second.npz").refit()
     np.testing.assert_array_equal(again.predict(*OTHERS), model.predict(*OTHERS))
 
 
 def test_prior_may_have_a_prior(table_file: Path, tmp_path: Path) -> None:
     config = SWING.model_copy(update={"prior": str(table_file)})
-    model = fit_forward_model(config, FEW_SAMPLES, "liberobot", MotionTemplate())
-    LookupTable.build(model, GRID, np.random.default_rng(0)).save(tmp_path / "second.npz")
-    third = load_prior(tmp_path / "second.npz", "liberobot", MotionTemplate())
+    model = fit_forward_model(config, FEW_SAMPLES, "liberobot", MOTION)
+    LookupTable.build(model, GRID, np.random.default_rng(0), robot="liberobot").save(tmp_path / "second.npz")
+    third = load_prior(tmp_path / "second.npz", "liberobot", MOTION)
     np.testing.assert_array_equal(third.predict(*OTHERS), model.predict(*OTHERS))
 
 
 def test_prior_of_another_robot_is_refused(table_file: Path) -> None:
     with pytest.raises(TableFileError, match="is for robot 'liberobot', not 'other'"):
-        load_prior(table_file, "other", MotionTemplate())
+        load_prior(table_file, "other", MOTION)
 
 
 def test_prior_of_other_motions_is_refused(table_file: Path) -> None:
-    stronger = MotionTemplate(u_m=(0.6e5, *MotionTemplate().u_m[1:]))
+    first, *others = MOTION.phases
+    first = first.model_copy(update={"target": (0.6e5, *first.target[1:])})
+    stronger = MOTION.model_copy(update={"phases": (first, *others)})
     with pytest.raises(TableFileError, match="learned in 'first', is of other motions"):
         load_prior(table_file, "liberobot", stronger)
 
@@ -132,12 +136,12 @@ def test_prior_of_other_motions_is_refused(table_file: Path) -> None:
 def test_prior_that_is_not_there_is_named(tmp_path: Path) -> None:
     config = SWING.model_copy(update={"prior": str(tmp_path / "none.npz")})
     with pytest.raises(TableFileError, match=r"none\.npz cannot be read"):
-        fit_forward_model(config, FEW_SAMPLES, "liberobot", MotionTemplate())
+        fit_forward_model(config, FEW_SAMPLES, "liberobot", MOTION)
 
 
 def test_prior_of_a_config_is_never_left_out() -> None:
     with pytest.raises(ConfigError, match=r"the prior some\.npz"):
-        ForwardModel(SWING.model_copy(update={"prior": "some.npz"}))
+        ForwardModel(SWING.model_copy(update={"prior": "some.npz"}), MOTION)
 
 
 def test_prior_is_stored_as_json() -> None:

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from liberobot import GRID, MOTION
+from made_up_motions import MADE_UP, OF_THE_PAPER, thetas
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from rough_tables import ROUGH, SHARP, TABLE, rough_table
 
 from imolo.errors import ConfigError, NotTrainedError
-from imolo.method.forward_model import ForwardModel
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.forward_model import PAPER_SVR, ForwardModel
+from imolo.method.motion import PhasedMotion, Theta, motion_rows
 from imolo.method.table import Executed, GridAxis, LookupTable, TableGrid
 from imolo.method.table_kernel import keeps_executed_part
 
@@ -24,7 +26,7 @@ ONSET = 7_000_000  # [µs]
 
 def brute_force(table: LookupTable, path: Array, when: Array, executed: Executed | None) -> tuple[int, int] | None:
     """Sec. IV-A and Fig. 4(c-e) as they are written, tuple by tuple."""
-    commands = [table.template.commands(Theta(*theta), ONSET) for theta in table.theta.tolist()]
+    commands = [table.template.commands(theta, ONSET) for theta in table.theta.tolist()]
     for point, (position, time) in enumerate(zip(path, when, strict=True)):
         near = np.linalg.norm(table.position - position, axis=1) < table.grid.spacing / 2
         distance = np.abs(table.time - time)
@@ -39,10 +41,10 @@ def brute_force(table: LookupTable, path: Array, when: Array, executed: Executed
 
 
 def test_grid_of_the_paper_has_its_549036_predictions() -> None:
-    grid = TableGrid()
-    assert [len(axis.values()) for axis in (grid.t_w, grid.k, grid.time_since_swing)] == [101, 151, 36]
-    assert grid.k.values()[-1] == 0.995
-    theta, time = grid.predictions()
+    t_w, k = GRID.parameters["t_w"], GRID.parameters["k"]
+    assert [len(axis.values()) for axis in (t_w, k, GRID.time_since_swing)] == [101, 151, 36]
+    assert k.values()[-1] == 0.995
+    theta, time = GRID.predictions(MOTION)
     assert len(theta) == len(time) == 549_036
     np.testing.assert_allclose(np.ptp(time - theta[:, 1]), 0.07, atol=1e-9)
 
@@ -57,9 +59,9 @@ def test_nearest_grid_point_is_within_half_a_cell(point: tuple[float, float, flo
             return positions.repeat(len(np.asarray(time)), axis=0)
 
     one = GridAxis(start=0.3, stop=0.3, step=1.0)
-    grid = TableGrid(t_w=one, k=GridAxis(start=0.0, stop=0.0, step=1.0), time_since_swing=one)
-    still = Still().fit(SHARP.training.theta, SHARP.training.time, SHARP.training.position)
-    table = LookupTable.build(still, grid, np.random.default_rng(0))
+    grid = TableGrid(parameters={"t_w": one, "k": GridAxis(start=0.0, stop=0.0, step=1.0)}, time_since_swing=one)
+    still = Still(PAPER_SVR, MOTION).fit(SHARP.training.theta, SHARP.training.time, SHARP.training.position)
+    table = LookupTable.build(still, grid, np.random.default_rng(0), robot="testbot")
     assert len(table) == 1
     assert np.abs(table.position[0] - point).max() <= 0.005 + 1e-12
     np.testing.assert_allclose(table.position / 0.010, np.rint(table.position / 0.010), atol=1e-9)
@@ -104,7 +106,7 @@ def test_query_finds_what_a_search_of_all_tuples_finds(
     rows = rng.integers(len(TABLE), size=length)
     path = TABLE.position[rows] + rng.normal(0.0, spread, (length, 3))
     when = TABLE.time[rows] + rng.normal(0.0, 0.01, length)
-    executed = None if elapsed is None else Executed(Theta(*TABLE.theta[rng.choice(rows)].tolist()), elapsed)
+    executed = None if elapsed is None else Executed(tuple(TABLE.theta[rng.choice(rows)].tolist()), elapsed)
     expected = brute_force(TABLE, path, when, executed)
     hit = TABLE.query_path(path, when, executed)
     assert (hit and (hit.path_index, hit.tuple_index)) == expected
@@ -117,52 +119,72 @@ def test_query_finds_what_a_search_of_all_tuples_finds(
         np.testing.assert_array_equal(hit.position, TABLE.position[hit.tuple_index])
 
 
-TEMPLATES = [
-    MotionTemplate(),
-    MotionTemplate(changed_phase=2),
-    MotionTemplate(changed_phase=3),
-    MotionTemplate(switch_phase=1, fixed_switch_time=(0.5, 1.2)),
-    MotionTemplate(switch_phase=1, changed_phase=2, fixed_switch_time=(0.5, 1.2)),
-]
+def instants(template: PhasedMotion, theta: Theta) -> list[int]:
+    """Return onset and ends of the phases since the onset [µs]."""
+    return [0, *template.commands(theta, 0).switch_utime]
 
 
-@settings(deadline=None)
-@given(
-    template=st.sampled_from(TEMPLATES),
-    thetas=st.tuples(*[st.builds(Theta, k=st.integers(-4, 4).map(lambda n: n / 4), t_w=st.floats(0.11, 0.45))] * 2),
-    same=st.tuples(st.booleans(), st.booleans()),
-    near=st.sampled_from([None, 0, 1, 2, 3]),
-    offset=st.integers(-1, 1),
-    free=st.integers(-100, 1_400_000),
-)
-@example(TEMPLATES[0], (Theta(0.5, 0.30), Theta(0.5, 0.25)), (True, False), 3, 0, 0)  # the new one switches now
-@example(TEMPLATES[0], (Theta(0.5, 0.25), Theta(0.5, 0.30)), (True, False), 2, 0, 0)  # the old one would switch now
-@example(TEMPLATES[0], (Theta(0.5, 0.25), Theta(0.0, 0.25)), (False, True), 0, 0, 0)  # the motion starts now
-def test_fast_condition_says_what_the_commands_say(
-    template: MotionTemplate,
-    thetas: tuple[Theta, Theta],
-    same: tuple[bool, bool],
-    near: int | None,
-    offset: int,
-    free: int,
-) -> None:
-    old, new = thetas
-    new = Theta(old.k if same[0] else new.k, old.t_w if same[1] else new.t_w)
-    switches = [template.commands(theta, 0).switch_utime for theta in (old, new)]
-    elapsed = (
-        free if near is None else [0, switches[0][0], switches[0][1], switches[1][template.switch_phase - 1]][near]
-    )
-    elapsed += offset
-    begun = elapsed > round(template.changed_phase_start(old.t_w) * 1e6)
-    fast = keeps_executed_part(
-        new.k,
-        float(round(new.t_w * 1e6)),
-        old.k if begun else float("nan"),
-        float(round(old.t_w * 1e6)),
-        float(elapsed),
-    )
+@st.composite
+def two_motions(draw: st.DrawFn) -> tuple[PhasedMotion, Theta, Theta, int]:
+    """Draw a template, two motions that share some parameters, and a time, often within a microsecond of a switch."""
+    template = draw(st.sampled_from(OF_THE_PAPER + MADE_UP))
+    old, other = draw(thetas(template)), draw(thetas(template))
+    shared = draw(st.tuples(*[st.booleans()] * len(old)))
+    new = tuple(a if same else b for a, b, same in zip(old, other, shared, strict=True))
+    switches = instants(template, old) + instants(template, new)
+    near = st.sampled_from(switches).flatmap(lambda at: st.integers(at - 1, at + 1))
+    return template, old, new, draw(near | st.integers(-100, 1_400_000))
+
+
+@settings(deadline=None, max_examples=500)
+@given(two_motions())
+@example((MOTION, (0.5, 0.30), (0.5, 0.25), 250_000))  # the new one switches now
+@example((MOTION, (0.5, 0.25), (0.5, 0.30), 250_000))  # the old one would switch now
+@example((MOTION, (0.5, 0.25), (0.0, 0.25), 0))  # the motion starts now
+def test_fast_condition_says_what_the_commands_say(drawn: tuple[PhasedMotion, Theta, Theta, int]) -> None:
+    template, old, new, elapsed = drawn
+    row_old, row_new = motion_rows(template, np.array([old, new]))
+    fast = keeps_executed_part(row_new, row_old, float(elapsed))
     commands = [template.commands(theta, ONSET) for theta in (new, old)]
     assert fast == commands[0].matches_until(commands[1], ONSET + elapsed)
+
+
+def lattice_of(template: PhasedMotion, values: int) -> TableGrid:
+    """Return a grid of some values of each parameter, and two times of the swing."""
+    axes = {}
+    for one in template.varied:
+        low, high = template.bounds(one)
+        step = round((high - low) / (values + 1), 3)
+        axes[one.name] = GridAxis(start=low + step, stop=low + values * step, step=step)
+    return TableGrid(parameters=axes, time_since_swing=GridAxis(start=0.02, stop=0.04, step=0.02), unique="all")
+
+
+@pytest.mark.parametrize("template", MADE_UP, ids=lambda template: "_".join(one.name for one in template.varied))
+def test_table_of_any_number_of_parameters_answers_as_a_search_of_all_tuples(template: PhasedMotion) -> None:
+    class Sum(ForwardModel):
+        def predict(self, theta: object, time: object) -> Array:
+            # Many motions share a grid point, so that the executed part decides.
+            return np.repeat(np.round(np.sum(theta, axis=1) * 10.0)[:, np.newaxis] / 100.0, 3, axis=1)
+
+    grid = lattice_of(template, 3)
+    theta, time = grid.predictions(template)
+    model = Sum(PAPER_SVR, template).fit(theta, time, np.zeros((len(time), 3)))
+    table = LookupTable.build(model, grid, np.random.default_rng(0), robot="testbot")
+    assert len(table) == 2 * 3 ** len(template.varied)
+    assert sorted(map(tuple, table.theta.tolist())) == sorted(map(tuple, theta.tolist()))
+    for row in range(0, len(table), 5):
+        old = tuple(table.theta[row].tolist())
+        for elapsed in (-0.01, *(at * 1e-6 + late for at in instants(template, old) for late in (0.0, 1e-6))):
+            path, when = table.position[[row]], table.time[[row]]
+            executed = Executed(old, elapsed)
+            hit = table.query_path(path, when, executed)
+            expected = brute_force(table, path, when, executed)
+            assert (hit and (hit.path_index, hit.tuple_index)) == expected
+
+
+def test_grid_over_other_parameters_than_the_motions_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"the grid is over t_w, k, the motion has t, k, m; give each an axis"):
+        ROUGH.predictions(MADE_UP[2])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
@@ -177,16 +199,16 @@ def test_impossible_query_has_no_answer(value: float) -> None:
 
 def test_bounds_of_space_and_time_are_excluded() -> None:
     grid = ROUGH.model_copy(update={"spacing": 0.25, "time_tolerance": 0.25})  # halves are exact in binary
-    table = LookupTable.build(SHARP, grid, np.random.default_rng(0))
+    table = LookupTable.build(SHARP, grid, np.random.default_rng(0), robot="testbot")
     up = np.array([0.0, 0.0, 1.0])
     for side, row in ((1.0, int(table.position[:, 2].argmax())), (-1.0, int(table.position[:, 2].argmin()))):
         position, time = table.position[row], table.time[row].item()  # nothing lies beyond it on this side
         assert table.query(position + side * 0.1249 * up, time) is not None
         assert table.query(position + side * 0.125 * up, time) is None
-    instant = table.grid.model_copy(update={"k": GridAxis(start=0.0, stop=0.0, step=1.0)})
-    half_second = GridAxis(start=0.25, stop=0.25, step=1.0)
-    instant = instant.model_copy(update={"t_w": half_second, "time_since_swing": half_second})
-    single = LookupTable.build(SHARP, instant, np.random.default_rng(0))
+    quarter_second = GridAxis(start=0.25, stop=0.25, step=1.0)
+    axes = {"k": GridAxis(start=0.0, stop=0.0, step=1.0), "t_w": quarter_second}
+    instant = table.grid.model_copy(update={"parameters": axes, "time_since_swing": quarter_second})
+    single = LookupTable.build(SHARP, instant, np.random.default_rng(0), robot="testbot")
     for side in (1.0, -1.0):
         assert single.query(single.position[0], 0.5 + side * 0.1249) is not None
         assert single.query(single.position[0], 0.5 + side * 0.125) is None
@@ -214,20 +236,20 @@ def test_table_cannot_be_changed_from_outside() -> None:
 
 def test_unfitted_model_builds_no_table() -> None:
     with pytest.raises(NotTrainedError):
-        LookupTable.build(ForwardModel(), ROUGH, np.random.default_rng(0))
+        LookupTable.build(ForwardModel(PAPER_SVR, MOTION), ROUGH, np.random.default_rng(0), robot="testbot")
 
 
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"k": GridAxis(start=0.0, stop=1.5, step=0.5)}, "k is 1.5"),
-        ({"t_w": GridAxis(start=0.1, stop=0.3, step=0.1)}, "t_w is 0.1"),
+        ({"parameters": {**ROUGH.parameters, "k": GridAxis(start=0.0, stop=1.5, step=0.5)}}, "k is 1.5"),
+        ({"parameters": {**ROUGH.parameters, "t_w": GridAxis(start=0.1, stop=0.3, step=0.1)}}, "t_w is 0.1"),
         ({"spacing": 1e-5}, "give a spacing above 1e-05 m"),
     ],
 )
 def test_grid_that_cannot_be_built_is_named(change: dict[str, object], named: str) -> None:
     with pytest.raises(ConfigError, match=named):
-        LookupTable.build(SHARP, ROUGH.model_copy(update=change), np.random.default_rng(0))
+        LookupTable.build(SHARP, ROUGH.model_copy(update=change), np.random.default_rng(0), robot="testbot")
 
 
 def test_grid_without_values_is_refused() -> None:

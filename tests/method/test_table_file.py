@@ -20,6 +20,7 @@ from imolo.errors import TableFileError
 from imolo.method import table_file
 from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModelConfig
 from imolo.method.table import LookupTable
+from imolo.method.table_file import VERSION
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def test_table_survives_its_file(saved: bytes) -> None:
 @pytest.mark.parametrize("config", [PAPER_SVR, GPR])
 def test_model_is_refitted_from_the_file(config: ForwardModelConfig, tmp_path: Path) -> None:
     model = fitted(config)
-    LookupTable.build(model, ROUGH, np.random.default_rng(0)).save(tmp_path / "t.npz")
+    LookupTable.build(model, ROUGH, np.random.default_rng(0), robot="testbot").save(tmp_path / "t.npz")
     again = LookupTable.load(tmp_path / "t.npz").refit()
     np.testing.assert_array_equal(
         again.predict(TABLE.theta[:50], TABLE.time[:50]), model.predict(TABLE.theta[:50], TABLE.time[:50])
@@ -92,17 +93,18 @@ def test_table_for_another_robot_is_refused(saved: bytes) -> None:
 
 def test_table_of_a_newer_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as newer:
-        newer.setattr(table_file, "VERSION", 3)
+        newer.setattr(table_file, "VERSION", VERSION + 1)
         TABLE.save(tmp_path / "t.npz")
-    with pytest.raises(TableFileError, match="format version 3, this imolo reads 2; update imolo"):
+    with pytest.raises(TableFileError, match=f"format version {VERSION + 1}, this imolo reads {VERSION}; update imolo"):
         LookupTable.load(tmp_path / "t.npz")
 
 
-def test_table_of_an_older_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("version", range(1, VERSION))
+def test_table_of_an_older_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: int) -> None:
     with monkeypatch.context() as older:
-        older.setattr(table_file, "VERSION", 1)
+        older.setattr(table_file, "VERSION", version)
         TABLE.save(tmp_path / "t.npz")
-    with pytest.raises(TableFileError, match="format version 1, this imolo reads 2; build it again"):
+    with pytest.raises(TableFileError, match=f"format version {version}, this imolo reads {VERSION}; build it again"):
         LookupTable.load(tmp_path / "t.npz")
 
 
@@ -158,7 +160,7 @@ def test_interrupted_save_leaves_the_old_table(tmp_path: Path, monkeypatch: pyte
 
 def test_origin_that_is_not_json_is_refused(tmp_path: Path) -> None:
     for value in ({1, 2}, float("nan")):
-        table = LookupTable.build(SHARP, ROUGH, np.random.default_rng(0), origin={"value": value})
+        table = LookupTable.build(SHARP, ROUGH, np.random.default_rng(0), robot="testbot", origin={"value": value})
         with pytest.raises(TableFileError, match="origin"):
             table.save(tmp_path / "t.npz")
 

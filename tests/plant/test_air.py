@@ -7,13 +7,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from liberobot import BODY
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from imolo.config.simulation import BallConfig, PneumaticsConfig
-from imolo_backends.actuators.plant import Plant, PlantDisturbance, tube_conductance
-from imolo_backends.actuators.plant_kernel import VALVE_OF_CHAMBER, mass_flow
-from imolo_robots.liberobot.body import JOINT_LIMITS, READY_JOINT_ANGLE
+from imolo.errors import ConfigError
+from imolo_backends.actuators.pneumatics import (
+    AirDisturbance,
+    Cylinder,
+    Pneumatics,
+    PneumaticsConfig,
+    tube_conductance,
+)
+from imolo_backends.actuators.pneumatics_kernel import mass_flow
+from imolo_robots.liberobot.air import VALVES_OF_JOINTS, LiberobotAir
 
 Array = NDArray[np.float64]
 
@@ -21,27 +29,31 @@ H = 1e-4  # [s]
 ATMOSPHERE = 101_325.0  # [Pa]
 R_T = 287.05 * 293.15  # [J/kg] of air at 20 °C
 DENSITY = 1.185  # [kg/m³] reference air of ISO 6358
-READY = np.array(READY_JOINT_ANGLE)
+JOINT_LIMITS = BODY.joint_limits
+READY = np.array(BODY.ready)
 MIDDLE = JOINT_LIMITS.mean(axis=1)
+# Fig. 6a: of the chambers that drive the joints up, then of those that drive them down.
+VALVE_OF_CHAMBER = np.array(VALVES_OF_JOINTS).T.ravel() - 1
 LEG_SWEEP = math.pi / 4 * 0.040**2 * 0.026 * 2.0  # [m³/rad] Sec. V-A: 40 mm bore, 26 mm arm, reduction 2
 ARM_SWEEP = math.pi / 4 * 0.025**2 * 0.026  # [m³/rad] Sec. V-A: 25 mm bore, 26 mm arm
 SWEEP = np.array([LEG_SWEEP] * 6 + [ARM_SWEEP] * 2)
 STILL = np.zeros(8)
-CALM = np.zeros(3)
 ROUNDING = 1e-12  # relative, of some thousand operations in double precision
 CLOSED_TUBE = {"tube_diameter": 1e-9}
 
 
-def plant(timestep: float = H, angle: Array = MIDDLE, changes: PlantDisturbance | None = None, **values: Any) -> Plant:
-    return Plant(PneumaticsConfig(**values), BallConfig(), timestep, JOINT_LIMITS, angle, changes)
+def plant(
+    timestep: float = H, angle: Array = MIDDLE, changes: AirDisturbance | None = None, **values: Any
+) -> Pneumatics:
+    return Pneumatics(LiberobotAir(**values), timestep, JOINT_LIMITS, angle, changes)
 
 
-def run(air: Plant, steps: int, angle: Array = MIDDLE) -> None:
+def run(air: Pneumatics, steps: int, angle: Array = MIDDLE) -> None:
     for _ in range(steps):
-        air.step(angle, STILL, CALM)
+        air.step(angle, STILL)
 
 
-def volumes(config: PneumaticsConfig, angle: Array) -> tuple[Array, Array]:
+def volumes(config: LiberobotAir, angle: Array) -> tuple[Array, Array]:
     """Return chamber volumes, shape (2, 8), and volumes behind the valves, shape (8,) [m³]."""
     half_tube = math.pi / 4 * config.tube_diameter**2 * config.tube_length / 2
     stroke = np.array([angle - JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1] - angle])
@@ -97,41 +109,41 @@ def test_tube_conductance_is_that_of_the_formula_in_iso_6358_3() -> None:
 @pytest.mark.parametrize("timestep", [H, 5 * H])
 def test_rest_is_an_equilibrium(timestep: float) -> None:
     air = plant(timestep, READY)
-    before = air.valve_pressure, air.chamber_pressure, air.tank_pressure
+    before = air.measured(), air.chamber_pressure, air.tank_pressure
     run(air, 1000, READY)
-    after = air.valve_pressure, air.chamber_pressure, air.tank_pressure
+    after = air.measured(), air.chamber_pressure, air.tank_pressure
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
 
 @pytest.mark.parametrize(("dead_time", "timestep"), [(0.0, H), (0.010, H), (0.010, 5 * H), (0.0203, H)])
 def test_nothing_moves_before_the_dead_time_and_everything_after(dead_time: float, timestep: float) -> None:
     air = plant(timestep, valve_dead_time=dead_time)
-    rest = air.valve_pressure
+    rest = air.measured()
     air.target[:] = 0.6e6
     run(air, int(dead_time / timestep + 1e-9))
-    assert np.array_equal(air.valve_pressure, rest)
+    assert np.array_equal(air.measured(), rest)
     run(air, 1)
-    assert (air.valve_pressure > rest).all()
+    assert (air.measured() > rest).all()
 
 
 def test_each_valve_has_its_own_dead_time() -> None:
     extra = np.arange(8) * 5 * H
-    air = plant(valve_dead_time=0.010, changes=PlantDisturbance(extra, 0.0))
-    rest = air.valve_pressure
+    air = plant(valve_dead_time=0.010, changes=AirDisturbance(extra, 0.0))
+    rest = air.measured()
     air.target[:] = 0.6e6
     first = np.full(8, -1)
     for step in range(200):
         run(air, 1)
-        first[(first < 0) & (air.valve_pressure > rest)] = step
+        first[(first < 0) & (air.measured() > rest)] = step
     assert first.tolist() == [round((0.010 + time) / H) for time in extra]
 
 
 def test_dead_time_is_never_negative() -> None:
-    air = plant(valve_dead_time=0.001, changes=PlantDisturbance(np.full(8, -0.005), 0.0))
-    rest = air.valve_pressure
+    air = plant(valve_dead_time=0.001, changes=AirDisturbance(np.full(8, -0.005), 0.0))
+    rest = air.measured()
     air.target[:] = 0.6e6
     run(air, 1)
-    assert (air.valve_pressure > rest).all()
+    assert (air.measured() > rest).all()
 
 
 def test_vented_valves_go_down_to_the_air_and_not_below() -> None:
@@ -142,7 +154,7 @@ def test_vented_valves_go_down_to_the_air_and_not_below() -> None:
     air.target[:] = 0.0
     steps = 20_000
     run(air, steps)
-    config = PneumaticsConfig()
+    config = LiberobotAir()
     chamber, manifold = volumes(config, MIDDLE)
     x = (config.laminar_ratio - 0.3) / 0.7
     laminar = config.exhaust_conductance * DENSITY * math.sqrt(1 - x**2) / (1 - config.laminar_ratio)  # [kg/(s·Pa)]
@@ -150,11 +162,11 @@ def test_vented_valves_go_down_to_the_air_and_not_below() -> None:
         volume = chamber.ravel()[valve == VALVE_OF_CHAMBER].sum() + manifold[valve]
         K = R_T * laminar / (config.full_opening_error * volume)
         # Twice the time that the linear part takes alone: the first second gets it there.
-        assert 0.0 <= air.valve_pressure[valve] < 2.0 / (K * steps * H)
+        assert 0.0 <= air.measured()[valve] < 2.0 / (K * steps * H)
 
 
 def test_supply_pressure_of_a_trial_is_that_of_its_tanks() -> None:
-    air = plant(changes=PlantDisturbance(np.zeros(8), -0.02e6), supply_pressure=0.9e6)
+    air = plant(changes=AirDisturbance(np.zeros(8), -0.02e6), supply_pressure=0.9e6)
     assert air.tank_pressure == pytest.approx(0.88e6, rel=ROUNDING)
 
 
@@ -162,15 +174,15 @@ def test_supply_pressure_of_a_trial_is_that_of_its_tanks() -> None:
 def test_air_is_adiabatic_where_it_enters_and_isothermal_where_it_leaves(joint_moves: float) -> None:
     """Behind a shut valve, p V falls by R T m where m leaves and rises by 1.4 R T m where it enters."""
     shut = {"full_opening_error": 1e15, "rest_pressure": (0.2e6,) * 8}
-    config, air = PneumaticsConfig(**shut), plant(**shut)
+    config, air = LiberobotAir(**shut), plant(**shut)
     angle = MIDDLE.copy()
     angle[0] += joint_moves  # the right hip squeezes the chamber of valve 1, or widens it
     chamber, manifold = volumes(config, angle)
-    air.step(angle, STILL, CALM)
-    in_chamber, behind_valve = air.chamber_pressure[1, 0], air.valve_pressure[0]
+    air.step(angle, STILL)
+    in_chamber, behind_valve = air.chamber_pressure[1, 0], air.measured()[0]
     run(air, 5, angle)
     gained = (air.chamber_pressure[1, 0] - in_chamber) * chamber[1, 0]
-    lost = -(air.valve_pressure[0] - behind_valve) * manifold[0]
+    lost = -(air.measured()[0] - behind_valve) * manifold[0]
     assert gained * joint_moves < 0.0
     ratio = gained / lost if gained > 0.0 else lost / gained
     # The changes are a hundredth of the pressures.
@@ -182,11 +194,11 @@ def test_air_is_adiabatic_where_it_enters_and_isothermal_where_it_leaves(joint_m
 
 def test_moving_joint_is_followed_between_the_steps() -> None:
     """Substeps see the angle move with the velocity, as far as the start of the last one."""
-    config = PneumaticsConfig(**CLOSED_TUBE, rest_pressure=(0.2e6,) * 8)
+    config = LiberobotAir(**CLOSED_TUBE, rest_pressure=(0.2e6,) * 8)
     air = plant(5 * H, **CLOSED_TUBE, rest_pressure=config.rest_pressure)
     start, _ = volumes(config, MIDDLE)
     end, _ = volumes(config, MIDDLE + 4 * H * 10.0)
-    air.step(MIDDLE, np.full(8, 10.0), CALM)
+    air.step(MIDDLE, np.full(8, 10.0))
     expected = (0.2e6 + ATMOSPHERE) * (start / end) ** 1.2 - ATMOSPHERE
     assert_allclose(air.chamber_pressure, expected, rtol=1e-10)
 
@@ -200,13 +212,13 @@ def test_torque_is_pressure_times_area_times_moment_arm(joint: int, valve: int, 
     rest = np.zeros(8)
     rest[valve] = pressure
     air = plant(rest_pressure=tuple(rest.tolist()))
-    air.step(MIDDLE, STILL, CALM)
+    air.step(MIDDLE, STILL)
     assert air.joint_torque[joint] == pytest.approx(torque, abs=0.05 if abs(torque) > 10 else 0.005)
 
 
 def test_valve_8_bends_the_legs_and_lowers_the_arms() -> None:
     air = plant(rest_pressure=(0.0,) * 7 + (0.5e6,))
-    air.step(MIDDLE, STILL, CALM)
+    air.step(MIDDLE, STILL)
     assert (air.joint_torque[:6] > 0.0).all()
     assert (air.joint_torque[6:] < 0.0).all()
 
@@ -214,9 +226,9 @@ def test_valve_8_bends_the_legs_and_lowers_the_arms() -> None:
 @given(st.lists(st.floats(-30.0, 30.0), min_size=8, max_size=8))
 def test_friction_takes_energy_from_every_joint(speed: list[float]) -> None:
     velocity = np.array(speed)
-    config = PneumaticsConfig(rest_pressure=(0.0,) * 8)
+    config = LiberobotAir(rest_pressure=(0.0,) * 8)
     air = plant(rest_pressure=config.rest_pressure)
-    air.step(MIDDLE, velocity, CALM)
+    air.step(MIDDLE, velocity)
     dry = np.array([config.leg_coulomb_friction] * 6 + [config.arm_coulomb_friction] * 2)
     viscous = np.array([config.leg_viscous_friction] * 6 + [config.arm_viscous_friction] * 2)
     expected = -dry * np.tanh(velocity / config.friction_smoothing) - viscous * velocity
@@ -248,24 +260,62 @@ def test_half_the_substep_halves_the_error() -> None:
     coarse, middle, fine = (pressures(halvings) for halvings in (2, 3, 4))
     ratio = np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine)
     # First order: 2 + O(h / tau), with h a quarter of H and tau the lag of the valve; second order would be 4.
-    assert abs(ratio - 2.0) < 0.25 * H / PneumaticsConfig().valve_time_constant
+    assert abs(ratio - 2.0) < 0.25 * H / LiberobotAir().valve_time_constant
 
 
-# The ball.
+# Valve maps from a config.
+
+LIMITS = np.array([[-1.0, 1.0], [-2.0, 2.0]])  # [rad]
 
 
-def test_drag_is_opposite_and_quadratic() -> None:
-    air = plant()
-    velocity = np.array([-6.0, 0.4, 3.0])
-    air.step(MIDDLE, STILL, velocity)
-    # ½ rho Cd A |v| v: 1.2 kg/m³, 0.45, 45 mm.
-    expected = -0.5 * 1.2 * 0.45 * math.pi * 0.045**2 * math.sqrt(45.16) * velocity
-    assert_allclose(air.ball_force, expected, rtol=ROUNDING)
+def two_cylinders(*valves: tuple[int, int], pressures: int = 4, **values: Any) -> PneumaticsConfig:
+    cylinders = [Cylinder(bore=0.02, lever=0.03, up=up, down=down) for up, down in valves]
+    tanks = {"supply_pressure": 0.6e6, "tank_volume": 2e-3, "supply_conductance": 1e-8, "exhaust_conductance": 3e-8}
+    content = {**tanks, "rest_pressure": (0.1e6,) * pressures, "cylinders": cylinders, **values}
+    return PneumaticsConfig.model_validate(content)
 
 
-def test_terminal_speed_of_the_ball_is_7_6_metres_per_second() -> None:
-    air = plant()
-    speed = math.sqrt(2 * 0.010 * 9.81 / (1.2 * 0.45 * math.pi * 0.045**2))
-    assert round(speed, 1) == 7.6
-    air.step(MIDDLE, STILL, np.array([0.0, 0.0, -speed]))
-    assert_allclose(air.ball_force, [0.0, 0.0, 0.010 * 9.81], rtol=ROUNDING)
+def test_torque_of_a_cylinder_is_that_of_its_own_valves() -> None:
+    config = two_cylinders((1, 2), (4, 3), rest_pressure=(0.3e6, 0.0, 0.0, 0.2e6))
+    air = Pneumatics(config, H, LIMITS, np.zeros(2))
+    air.step(np.zeros(2), np.zeros(2))
+    lever = math.pi / 4 * 0.02**2 * 0.03  # [m³] area times lever
+    assert_allclose(air.joint_torque, [0.3e6 * lever, 0.2e6 * lever], rtol=1e-9)
+    assert_allclose(air.measured(), config.rest_pressure, rtol=1e-9)
+
+
+def test_channels_are_named_after_the_valves() -> None:
+    config = two_cylinders((1, 2), (2, 1), pressures=2, valve_names=("lifts", "lowers"))
+    assert [(c.name, c.unit, c.low, c.high, c.rest) for c in config.channels] == [
+        ("valve 1: lifts", "Pa", 0.0, 0.6e6, 0.1e6),
+        ("valve 2: lowers", "Pa", 0.0, 0.6e6, 0.1e6),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("valves", "values", "named"),
+    [
+        (((1, 2), (4, 5)), {}, "a cylinder names valve 5, but rest_pressure has 4 valves; give it a pressure"),
+        (((1, 2), (4, 1)), {}, "valve 3 feeds no chamber; name it in `up` or `down` of a cylinder, or leave it out"),
+        (((1, 2), (3, 4)), {"valve_names": ("one",)}, "valve_names has 1 names, rest_pressure 4 valves"),
+        (((1, 2), (3, 4)), {"rest_pressure": (0.0, 0.0, 0.0, 0.7e6)}, "rest_pressure 700000 Pa is above supply"),
+        (((1, 0), (3, 4)), {}, "greater than or equal to 1"),
+    ],
+)
+def test_valve_map_that_cannot_be_is_refused(
+    valves: tuple[tuple[int, int], ...], values: dict[str, Any], named: str
+) -> None:
+    with pytest.raises(ValidationError, match=named):
+        two_cylinders(*valves, **values)
+
+
+@pytest.mark.parametrize(
+    ("limits", "named"),
+    [
+        (LIMITS[:1], "there are 2 cylinders for 1 joints; give one for each"),
+        (np.array([[-np.inf, np.inf], [0.0, 1.0]]), "a joint without limits has no cylinder that fits"),
+    ],
+)
+def test_cylinders_that_do_not_fit_the_joints_are_refused(limits: Array, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        Pneumatics(two_cylinders((1, 2), (3, 4)), H, limits, np.zeros(len(limits)))

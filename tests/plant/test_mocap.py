@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from liberobot import BODY
 from numpy.typing import NDArray
 
 from imolo.config.simulation import MocapConfig
 from imolo.contracts.engine import EngineState
 from imolo_backends.simulation.mocap import Mocap
 from imolo_msgs import marker_t, mocap_frame_t
-from imolo_robots.liberobot.body import LINK_NAMES, MARKERS
 
 Array = NDArray[np.float64]
 
 FRAMES = 3000
 PERIOD = 8333  # [µs]
-LINKS = len(LINK_NAMES)
+MARKERS = BODY.markers
+LINKS = len(BODY.link_names)
 BALL = np.array([4.0, 0.1, 2.0])
 FAULTS = ("marker_noise", "ball_noise", "marker_dropout", "ball_dropout", "frame_dropout", "unlabelled", "ghost")
 PERFECT = dict.fromkeys(FAULTS, 0.0)
@@ -37,7 +38,7 @@ STATE = EngineState(
 
 def record(seed: int = 0, frames: int = FRAMES, **faults: Any) -> list[mocap_frame_t]:
     """Return what cameras deliver that are perfect but for the faults."""
-    mocap = Mocap(MocapConfig(**{**PERFECT, **faults}), LINK_NAMES, np.random.default_rng(seed))
+    mocap = Mocap(MocapConfig(**{**PERFECT, **faults}), BODY, np.random.default_rng(seed))
     for number in range(frames):
         mocap.expose(PERIOD * number, STATE)
     return mocap.deliver(2**62)
@@ -59,8 +60,7 @@ def is_share(count: int, total: int, probability: float) -> bool:
 def test_perfect_cameras_see_every_marker_where_it_is() -> None:
     (frame,) = record(frames=1)
     expected = {
-        marker.marker_id: STATE.link_position[LINK_NAMES.index(marker.link)]
-        + STATE.link_rotation[0] @ np.array(marker.offset)
+        marker.marker_id: STATE.link_position[BODY.link_of(marker)] + STATE.link_rotation[0] @ np.array(marker.offset)
         for marker in MARKERS
     }
     assert labelled(frame).keys() == expected.keys()
@@ -85,7 +85,7 @@ def test_noise_is_as_configured() -> None:
 
 
 def test_frame_is_delivered_when_its_latency_is_over_and_not_before() -> None:
-    mocap = Mocap(MocapConfig(**PERFECT, latency=0.005), LINK_NAMES, np.random.default_rng(0))
+    mocap = Mocap(MocapConfig(**PERFECT, latency=0.005), BODY, np.random.default_rng(0))
     mocap.expose(1000, STATE)
     assert mocap.deliver(5999) == []
     assert [frame.utime for frame in mocap.deliver(6000)] == [1000]

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from liberobot import BODY, CONFIG, ready_scene
 from scipy.spatial.transform import Rotation
 
+from imolo.config.loading import body_of, config_for
 from imolo.contracts.engine import Array, Scene
+from imolo.contracts.robot import Body, Effector, Foot, Marker
 from imolo.contracts.urdf import CollisionShape, read_urdf
 from imolo.errors import BackendError
 from imolo_robots.liberobot.body import (
-    ARM_LINKS,
     BOX_HEIGHT,
     FOOT_LINKS,
     HAND_OFFSET,
-    JOINT_LIMITS,
     JOINT_NAMES,
     LINK_NAMES,
     MARKERS,
@@ -26,10 +27,10 @@ from imolo_robots.liberobot.body import (
     TOE_OFFSET,
     TOE_TO_EDGE,
     URDF,
-    ready_scene,
     with_flat_sole,
 )
 
+JOINT_LIMITS = BODY.joint_limits
 MODEL = read_urdf(URDF)
 INWARDS = np.array([-1.0] * 6 + [1.0] * 2)
 
@@ -145,22 +146,22 @@ def test_the_ready_pose_is_balanced() -> None:
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.floats(0.0, 0.3), min_size=8, max_size=8))
 def test_a_perturbed_pose_still_touches_the_box(size: list[float]) -> None:
-    scene = ready_scene(joint_offset=INWARDS * size)
+    scene = ready_scene(INWARDS * size)
     assert lowest_foot_point(scene) == pytest.approx(BOX_HEIGHT, abs=1e-12)
     toes = [position[0] + (rotation @ TOE_OFFSET)[0] for position, rotation in (poses(scene)[f] for f in FOOT_LINKS)]
     assert np.mean(toes) == pytest.approx(-TOE_TO_EDGE)
 
 
 def test_equal_offsets_of_both_legs_leave_the_feet_level() -> None:
-    scene = ready_scene(joint_offset=INWARDS * [0.1, 0.2, 0.05, 0.1, 0.2, 0.05, 0.0, 0.0])
+    scene = ready_scene(INWARDS * [0.1, 0.2, 0.05, 0.1, 0.2, 0.05, 0.0, 0.0])
     assert poses(scene)["left_foot"][1] == pytest.approx(np.eye(3), abs=1e-12)
 
 
 def test_offsets_beyond_a_limit_are_refused() -> None:
     with pytest.raises(BackendError, match=r"left_knee cannot start at 151\.000°; its range is 0\.\.150°"):
-        ready_scene(joint_offset=[0.0] * 4 + [np.radians(1.0)] + [0.0] * 3)
+        ready_scene([0.0] * 4 + [np.radians(1.0)] + [0.0] * 3)
     with pytest.raises(BackendError, match=r"shape \(7,\); expected \(8,\)"):
-        ready_scene(joint_offset=[0.0] * 7)
+        ready_scene([0.0] * 7)
 
 
 def test_the_flat_sole_changes_nothing_but_the_shape(tmp_path: Path) -> None:
@@ -180,7 +181,8 @@ def test_the_flat_sole_changes_nothing_but_the_shape(tmp_path: Path) -> None:
 
 
 def test_the_flat_soled_robot_starts_where_the_round_soled_one_does() -> None:
-    flat, semicircular = ready_scene(sole="flat"), ready_scene()
+    flat_robot = config_for("mujoco", robot={"sole": "flat"}).robot
+    flat, semicircular = ready_scene(body=body_of(flat_robot)), ready_scene()
     assert replace(flat, urdf=URDF) == semicircular
     assert lowest_foot_point(flat) == pytest.approx(BOX_HEIGHT)
     with pytest.raises(BackendError, match="no round sole"):
@@ -190,9 +192,33 @@ def test_the_flat_soled_robot_starts_where_the_round_soled_one_does() -> None:
 def test_markers_have_their_own_labels_and_the_hand_is_the_middle_of_the_plate() -> None:
     assert len({marker.marker_id for marker in MARKERS}) == len({marker.name for marker in MARKERS}) == len(MARKERS)
     assert {marker.link for marker in MARKERS} <= set(LINK_NAMES)
-    for arm in ARM_LINKS:
-        plate = MODEL.links[arm].collisions[1]
-        assert [m.offset for m in MARKERS if m.link == arm and "hand" in m.name] == [tuple(plate.position)]
+    for effector in BODY.effectors:
+        plate = MODEL.links[effector.link].collisions[1]
+        (middle,) = (marker for marker in MARKERS if marker.name == effector.name)
+        assert (middle.link, middle.offset) == (effector.link, tuple(plate.position))
+        assert effector.width == sorted(plate.size)[1]
+        # From the shoulder to the end of the plate.
+        assert effector.limb_length == pytest.approx(0.5 * plate.size[2] - plate.position[2])
+
+
+def test_the_right_hand_learns() -> None:
+    assert [effector.name for effector in BODY.effectors] == ["right_hand", "left_hand"]
+    assert BODY.learning_marker == BODY.effector_marker(0) == 6
+    assert BODY.effector_marker(1) == 7
+
+
+def test_ready_markers_are_where_the_scene_has_their_links() -> None:
+    where = poses(ready_scene())
+    for marker in MARKERS:
+        position, rotation = where[marker.link]
+        assert BODY.ready_markers()[marker.name] == pytest.approx(position + rotation @ marker.offset, abs=1e-12)
+
+
+def test_defaults_are_those_of_the_paper() -> None:
+    assert CONFIG.robot.name == "liberobot"
+    assert CONFIG.task.name == "hit"
+    assert list(CONFIG.methods) == ["paper", "improved"]
+    assert CONFIG.training.comparison_time == 0.17
 
 
 @pytest.mark.parametrize(
@@ -227,3 +253,38 @@ def test_a_urdf_that_cannot_be_used_is_refused(tmp_path: Path, old: str, new: st
     path.write_text(text.replace(old, new))
     with pytest.raises(BackendError, match=message):
         _ = read_urdf(path).base
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joint_names": ("left_hipp",)}, r"joint 'left_hipp' is not in liberobot\.urdf; did you mean 'left_hip'"),
+        (
+            {"markers": (*MARKERS, Marker(12, "nose", "head"))},
+            r"link of marker 'nose', 'head' is not in liberobot\.urdf.*known: .*trunk",
+        ),
+        ({"effectors": (Effector("right_hand", "arm", 0.1),)}, "link of effector 'right_hand', 'arm' is not in"),
+        ({"effectors": (Effector("racket", "right_arm", 0.1),)}, "marker of an effector, 'racket' is not in"),
+        ({"feet": (Foot("left_fot", 0.0),)}, "link of foot, 'left_fot' is not in .*did you mean 'left_foot'"),
+        ({"effectors": ()}, "has no effector; name the link that is to meet the ball"),
+        ({"markers": (*MARKERS, Marker(3, "nose", "trunk"))}, "marker id 3 is negative or used twice"),
+        ({"markers": (*MARKERS, Marker(-1, "nose", "trunk"))}, "marker id -1 is negative or used twice"),
+        ({"ready": (0.0,) * 7}, "the ready pose has 7 angles for 8 joints"),
+    ],
+)
+def test_a_body_that_does_not_fit_its_urdf_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(BackendError, match=message) as caught:
+        replace(BODY, **change)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_body_takes_from_its_urdf_what_is_not_given() -> None:
+    plain = Body("plain", URDF, MARKERS, BODY.effectors)
+    assert plain.joint_names == JOINT_NAMES
+    assert plain.link_names[0] == LINK_NAMES[0]
+    assert set(plain.link_names) == set(LINK_NAMES)
+    assert plain.ready == (0.0,) * 8
+
+
+def test_feet_are_told_by_the_markers_at_their_origins() -> None:
+    assert BODY.standing_markers == {2: SOLE_RADIUS, 5: SOLE_RADIUS}

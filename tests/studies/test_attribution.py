@@ -7,12 +7,13 @@ from played_trials import COARSE
 
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import make_config
 from imolo.errors import ConfigError
 from imolo.studies.attribution import LEAST_GAIN, Attribution, attribute
 
 
 def config(backend: str, **options: object) -> ExperimentConfig:
-    return ExperimentConfig.model_validate(
+    return make_config(
         {
             "backend": {"name": backend, **options},
             "simulation": {"timestep": COARSE},

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from liberobot import GRID, MOTION
 from played_trials import config
 from scipy.stats import t as student
 from scipy.stats import ttest_rel
@@ -31,7 +32,7 @@ from imolo.studies.interpolation import (
     nearest_tuple,
 )
 from imolo.studies.interpolation_report import draw_study, findings, parse_trials
-from imolo.studies.interpolation_study import GRID, InterpolationStudy, study
+from imolo.studies.interpolation_study import InterpolationStudy, study
 
 WINDOW = Window(0.13, 0.22)
 FRAMES = np.arange(0.0, 0.7, 1 / 120)
@@ -39,12 +40,13 @@ FRAMES = np.arange(0.0, 0.7, 1 / 120)
 
 def smooth(theta: Theta, time: float) -> np.ndarray:
     """Return a hand that k moves sideways, t_w forward and the swing up [m]; quadratic, so easily learned."""
-    since = time - theta.t_w
-    return np.array([0.5 + 2.0 * theta.t_w + since, -0.2 + 0.3 * theta.k, 1.0 + 5.0 * since - 0.1 * theta.k**2])
+    k, t_w = theta
+    since = time - t_w
+    return np.array([0.5 + 2.0 * t_w + since, -0.2 + 0.3 * k, 1.0 + 5.0 * since - 0.1 * k**2])
 
 
 def pool_of(count: int, seed: int = 0) -> list[Recording]:
-    motions = draw_theta(GRID, count, np.random.default_rng(seed))
+    motions = draw_theta(MOTION, GRID, count, np.random.default_rng(seed))
     return [Recording(theta, FRAMES, np.array([smooth(theta, time) for time in FRAMES])) for theta in motions]
 
 
@@ -52,29 +54,29 @@ POOL = pool_of(40)
 
 
 def test_draw_depends_on_seed_trials_and_repetition_alone() -> None:
-    first = draw_problem(POOL, WINDOW, 8, 3, 1)
-    again = draw_problem(POOL, WINDOW, 8, 3, 1)
+    first = draw_problem(POOL, MOTION, WINDOW, 8, 3, 1)
+    again = draw_problem(POOL, MOTION, WINDOW, 8, 3, 1)
     assert (first.training, first.time, first.position.tolist()) == (
         again.training,
         again.time,
         again.position.tolist(),
     )
-    others = [draw_problem(POOL, WINDOW, *which) for which in ((8, 4, 1), (8, 3, 2), (16, 3, 1))]
+    others = [draw_problem(POOL, MOTION, WINDOW, *which) for which in ((8, 4, 1), (8, 3, 2), (16, 3, 1))]
     assert all(other.time != first.time for other in others)
 
 
 def test_query_is_on_a_motion_that_is_not_trained_on_and_in_its_swing() -> None:
     for repetition in range(50):
-        problem = draw_problem(POOL, WINDOW, 16, repetition, 1)
+        problem = draw_problem(POOL, MOTION, WINDOW, 16, repetition, 1)
         distance = [np.linalg.norm(r.hand(problem.time) - problem.position) for r in POOL]
         query = int(np.argmin(distance))
         assert query not in problem.training
         assert len(set(problem.training)) == 16
-        assert 0.13 < problem.time - POOL[query].theta.t_w < 0.22
+        assert 0.13 < problem.time - POOL[query].theta[1] < 0.22
 
 
 def test_window_keeps_the_frames_of_the_swing() -> None:
-    data = WINDOW.samples(POOL[:3])
+    data = WINDOW.samples(POOL[:3], MOTION)
     since = data.time - data.theta[:, 1]
     # 0.09 s at 120 Hz hold 10 or 11 frames.
     assert 30 <= len(since) <= 33
@@ -89,34 +91,36 @@ def test_nearest_tuple_in_space_is_chosen_among_those_in_time() -> None:
     theta = np.array([[0.1, 0.3], [0.2, 0.3], [0.3, 0.3]])
     positions = np.array([[0.1, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.0, 0.0]])
     choice = nearest_tuple(theta, np.array([0.498, 0.501, 0.506]), positions, query(0.5), 0.0083)
-    assert choice == Choice(Theta(0.1, 0.3), 0.1, in_time=True)
+    assert choice == Choice((0.1, 0.3), 0.1, in_time=True)
 
 
 def test_tuple_nearest_in_time_is_chosen_where_none_is_in_time() -> None:
     theta = np.array([[0.1, 0.3], [0.2, 0.3]])
     choice = nearest_tuple(theta, np.array([0.45, 0.46]), np.array([[0.0] * 3, [1.0, 0.0, 0.0]]), query(0.5), 0.0083)
-    assert choice == Choice(Theta(0.2, 0.3), 1.0, in_time=False)
+    assert choice == Choice((0.2, 0.3), 1.0, in_time=False)
 
 
 def test_predicting_only_near_the_query_changes_no_choice() -> None:
-    problem = draw_problem(POOL, WINDOW, 8, 0, 1)
-    data = WINDOW.samples([POOL[index] for index in problem.training])
-    model = ForwardModel(GPR).fit(data.theta, data.time, data.position)
-    theta, time = GRID.predictions()
+    problem = draw_problem(POOL, MOTION, WINDOW, 8, 0, 1)
+    data = WINDOW.samples([POOL[index] for index in problem.training], MOTION)
+    model = ForwardModel(GPR, MOTION).fit(data.theta, data.time, data.position)
+    theta, time = GRID.predictions(MOTION)
     whole = nearest_tuple(theta, time, model.predict(theta, time), problem, GRID.time_tolerance)
-    chosen = answer(problem, POOL, WINDOW, GRID).choices["improved"]
+    chosen = answer(problem, POOL, MOTION, WINDOW, GRID).choices["improved"]
     assert chosen.theta == whole.theta
     assert chosen.distance == pytest.approx(whole.distance, abs=1e-12)
 
 
 def test_raw_table_chooses_a_motion_that_was_trained() -> None:
-    problem = draw_problem(POOL, WINDOW, 8, 1, 1)
-    assert answer(problem, POOL, WINDOW, GRID).choices[WITHOUT].theta in [POOL[i].theta for i in problem.training]
+    problem = draw_problem(POOL, MOTION, WINDOW, 8, 1, 1)
+    assert answer(problem, POOL, MOTION, WINDOW, GRID).choices[WITHOUT].theta in [
+        POOL[i].theta for i in problem.training
+    ]
 
 
 def test_interpolation_helps_where_the_hand_is_smooth() -> None:
-    problems = [draw_problem(POOL, WINDOW, 8, repetition, 1) for repetition in range(8)]
-    result = judge(problems, [answer(problem, POOL, WINDOW, GRID) for problem in problems], smooth)
+    problems = [draw_problem(POOL, MOTION, WINDOW, 8, repetition, 1) for repetition in range(8)]
+    result = judge(problems, [answer(problem, POOL, MOTION, WINDOW, GRID) for problem in problems], smooth)
     found = result.test(8, "improved")
     assert found.p is not None
     assert found.p < 0.01
@@ -135,9 +139,9 @@ def judged(without: list[float], with_: list[float]) -> PairedTest:
     problems = [query(0.5) for _ in without]
     answers = []
     for a, b in zip(without, with_, strict=True):
-        choices = {name: Choice(Theta(a if name == WITHOUT else b, 0.3), 0.0, in_time=True) for name in VARIANTS}
+        choices = {name: Choice((a if name == WITHOUT else b, 0.3), 0.0, in_time=True) for name in VARIANTS}
         answers.append(Answer(choices, dict.fromkeys(RATED, 0.0)))
-    return judge(problems, answers, lambda theta, _: np.array([theta.k, 0.0, 0.0])).test(1, "paper")
+    return judge(problems, answers, lambda theta, _: np.array([theta[0], 0.0, 0.0])).test(1, "paper")
 
 
 def test_paired_t_test_is_that_of_the_textbook_and_of_scipy() -> None:
@@ -209,10 +213,10 @@ def test_figure_has_a_panel_for_every_backend(small: tuple[InterpolationStudy, P
 
 def test_motion_executed_again_is_the_recorded_one(tmp_path: Path) -> None:
     """What lets the raw table's choices go without a second execution, and without pressures in the log."""
-    theta = Theta(0.4, 0.25)
+    theta = (0.4, 0.25)
     told = without_chance(config("mujoco"))
     more = told.model_copy(
-        update={"simulation": told.simulation.model_copy(update={"pressure_rate": 1000.0, "truth_rate": 240.0})}
+        update={"simulation": told.simulation.model_copy(update={"sensor_rate": 1000.0, "truth_rate": 240.0})}
     )
     hands = []
     for number, (chosen, end) in enumerate(((told, 0.47), (told, 0.40), (more, 0.47))):

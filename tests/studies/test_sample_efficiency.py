@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from liberobot import GRID, MOTION
 from played_trials import config
 
 from imolo.campaigns.motion_recorder import Recording, Window
@@ -17,7 +18,6 @@ from imolo.studies.interpolation import draw_theta
 from imolo.studies.sample_efficiency import (
     ACTIVE,
     CONFIGURED,
-    GRID,
     MODEL,
     PAPER,
     PLAIN,
@@ -45,19 +45,20 @@ SIZES = Sizes(dense=8, candidates=6, tests=4)
 
 def recorded(theta: Theta, offset: float = 0.0) -> Recording:
     """Return a smooth hand, off by so much along x [m]."""
-    since = FRAMES - theta.t_w
-    sideways = np.full(len(since), 0.3 * theta.k + 0.1 * theta.k**3)
-    hand = np.column_stack((theta.t_w + since + offset, sideways, 1.0 + 3.0 * since))
+    k, t_w = theta
+    since = FRAMES - t_w
+    sideways = np.full(len(since), 0.3 * k + 0.1 * k**3)
+    hand = np.column_stack((t_w + since + offset, sideways, 1.0 + 3.0 * since))
     return Recording(theta, FRAMES, hand)
 
 
 def all_at(k: list[float]) -> list[Recording]:
-    return [recorded(Theta(value, 0.3 + 0.01 * number)) for number, value in enumerate(k)]
+    return [recorded((value, 0.3 + 0.01 * number)) for number, value in enumerate(k)]
 
 
 @pytest.fixture(scope="module")
 def known_on_one_side() -> ForwardModel:
-    return fit(ForwardModel(MODEL), all_at([-1.0, -0.8, -0.6, -0.4, -0.2]), WINDOW)
+    return fit(ForwardModel(MODEL, MOTION), all_at([-1.0, -0.8, -0.6, -0.4, -0.2]), WINDOW)
 
 
 def test_motion_farthest_from_what_was_tried_is_chosen(known_on_one_side: ForwardModel) -> None:
@@ -68,9 +69,9 @@ def test_motion_farthest_from_what_was_tried_is_chosen(known_on_one_side: Forwar
 def test_active_choice_goes_where_nothing_was_tried_and_tries_nothing_twice() -> None:
     candidates = all_at([-0.9, -0.5, 0.0, 0.5, 1.0])
     start = all_at([-1.0, -0.8, -0.6, -0.4, -0.2])
-    done = [trials for trials, _ in active_trials(ForwardModel(MODEL), start, candidates, WINDOW, searched=())]
+    done = [trials for trials, _ in active_trials(ForwardModel(MODEL, MOTION), start, candidates, WINDOW, searched=())]
     assert [len(trials) for trials in done] == [5, 6, 7, 8, 9, 10]
-    assert done[1][-1].theta.k == 1.0
+    assert done[1][-1].theta[0] == 1.0
     assert sorted(recording.theta for recording in done[-1]) == sorted(r.theta for r in (*start, *candidates))
 
 
@@ -78,7 +79,7 @@ def test_choice_does_not_look_at_where_the_hand_went() -> None:
     start, order = all_at([-1.0, -0.6, -0.2]), []
     for offset in (0.0, 5.0):
         candidates = [recorded(r.theta, offset) for r in all_at([-0.9, 0.0, 1.0])]
-        steps = active_trials(ForwardModel(MODEL), start, candidates, WINDOW, searched=())
+        steps = active_trials(ForwardModel(MODEL, MOTION), start, candidates, WINDOW, searched=())
         next(steps)
         order.append(next(steps)[0][-1].theta)
     assert order[0] == order[1]
@@ -86,15 +87,15 @@ def test_choice_does_not_look_at_where_the_hand_went() -> None:
 
 def test_repeatability_is_the_distance_to_the_true_mean() -> None:
     rng = np.random.default_rng(0)
-    motions = [Theta(k, 0.3) for k in np.linspace(-1.0, 1.0, 200)]
+    motions = [(k, 0.3) for k in np.linspace(-1.0, 1.0, 200)]
     repeated = [recorded(theta, offset) for theta in motions for offset in rng.normal(0.0, 0.01, 4)]
     # Along one axis the mean distance of a normal distribution is 0.798 of its standard deviation.
-    assert repeatability(repeated, WINDOW).mean == pytest.approx(0.00798, rel=0.1)
+    assert repeatability(repeated, MOTION, WINDOW).mean == pytest.approx(0.00798, rel=0.1)
 
 
 def test_error_is_the_mean_distance_of_motions() -> None:
-    motions = draw_theta(GRID, 22, np.random.default_rng(0))
-    model = fit(ForwardModel(MODEL), [recorded(theta) for theta in motions[2:]], WINDOW)
+    motions = draw_theta(MOTION, GRID, 22, np.random.default_rng(0))
+    model = fit(ForwardModel(MODEL, MOTION), [recorded(theta) for theta in motions[2:]], WINDOW)
     exact, _ = rate(model, [recorded(theta) for theta in motions[:2]], WINDOW)
     off, nees = rate(model, [recorded(theta, 0.2) for theta in motions[:2]], WINDOW)
     assert exact.mean is not None
@@ -105,7 +106,7 @@ def test_error_is_the_mean_distance_of_motions() -> None:
 
 
 def test_model_without_variance_is_not_judged_by_it() -> None:
-    model = fit(ForwardModel(PAPER_SVR), all_at([-1.0, 0.0, 1.0]), WINDOW)
+    model = fit(ForwardModel(PAPER_SVR, MOTION), all_at([-1.0, 0.0, 1.0]), WINDOW)
     assert rate(model, all_at([0.5]), WINDOW)[1] is None
 
 

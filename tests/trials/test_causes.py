@@ -4,27 +4,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from played_trials import config, event, mocap, plan
+from liberobot import BODY, CONFIG, GRID, HAND, MOTION
+from played_trials import event, mocap, plan
 
-from imolo.config.experiment import METHODS, MethodConfig
+from imolo.config.experiment import MethodConfig
 from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.forward_model import PAPER_SVR, TrainingData
-from imolo.method.motion import MotionTemplate
 from imolo.method.planner import PlannerConfig
-from imolo.method.table import LookupTable, TableGrid
-from imolo.trials.causes import PLATE_HALF_WIDTH, Cause
+from imolo.method.table import LookupTable
+from imolo.trials.causes import Cause
 from imolo.trials.metrics import TrialResult, judge_campaign, judge_trial
 from imolo_msgs import actuator_command_t, ball_state_t, marker_t, plan_t
 
-CONFIG = config("mujoco")
-HAND = CONFIG.robot.hand_marker
 FRAMES = np.round(np.arange(1, 121) * 1e6 / 120).astype(int)  # [µs]
 ONSET, T_W, HIT = 400_000, 300_000, 860_000  # [µs] the motion, t_w since its onset, and when the two are to meet
 LANDING = 950_000  # [µs]
-TOUCH = PLATE_HALF_WIDTH + CONFIG.simulation.ball.radius  # [m]
-METHOD = MethodConfig(planner=PlannerConfig(lead_time=0.008))
+TOUCH = 0.5 * BODY.effectors[0].width + CONFIG.simulation.ball.radius  # [m]
+METHOD = MethodConfig(grid=GRID, planner=PlannerConfig(lead_time=0.008))
 LAST_CHANGE = ONSET + T_W - 8_000  # [µs] frames before this one could still change t_w
 OFF = np.array([0.0, 0.2, 0.0])  # [m] a clear miss
 
@@ -88,7 +86,7 @@ def cause(log: Log, table: LookupTable | None = None, method: MethodConfig = MET
 
 def table_of(*tuples: tuple[np.ndarray, float]) -> LookupTable:
     """Return a table of the given positions [m] and times since the onset [s]."""
-    grid = TableGrid(match="cell")
+    grid = GRID.model_copy(update={"match": "cell"})
     cell = np.floor(np.array([position for position, _ in tuples]) / grid.spacing + 0.5).astype(np.int64)
     time = np.array([time for _, time in tuples])
     theta = np.column_stack((np.zeros(len(time)), time - 0.17))
@@ -98,7 +96,7 @@ def table_of(*tuples: tuple[np.ndarray, float]) -> LookupTable:
         theta,
         np.zeros((len(np.unique(theta, axis=0)), 3)),
         grid=grid,
-        template=MotionTemplate(),
+        template=MOTION,
         forward_model=PAPER_SVR,
         training=TrainingData(np.zeros((1, 2)), np.zeros(1), np.zeros((1, 3))),
         robot="liberobot",
@@ -202,7 +200,7 @@ def test_start_is_late_if_the_path_was_in_the_table_but_sooner_than_any_motion(
 @pytest.mark.parametrize(("observed", "expected"), [(0.1, Cause.NO_ENTRY), (0.7, Cause.LATE), (0.945, Cause.LATE)])
 def test_without_the_table_the_fastest_motion_of_the_grid_tells_a_late_start(observed: float, expected: Cause) -> None:
     # The fastest motion takes 0.21 + 0.14 s, and the ball lands at 0.95 s.
-    method = MethodConfig(planner=PlannerConfig(observation_time=observed))
+    method = MethodConfig(grid=GRID, planner=PlannerConfig(observation_time=observed))
     assert cause(made_log(started=False), method=method) == expected
 
 
@@ -236,4 +234,4 @@ def test_campaign_counts_causes_and_positions() -> None:
 def test_methods_of_the_paper_and_ours_judge_the_same_hit() -> None:
     log = made_log()
     log.messages[channels.TRIAL].append(event(EventName.TOUCH, HIT))
-    assert len({judge_trial(log, CONFIG, method).model_dump_json() for method in METHODS.values()}) == 1
+    assert len({judge_trial(log, CONFIG, method).model_dump_json() for method in CONFIG.methods.values()}) == 1

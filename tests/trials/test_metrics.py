@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from played_trials import config, event, mocap, plan
+from liberobot import BODY, CONFIG, HAND
+from played_trials import event, mocap, plan
 
 from imolo.contracts.trial import EventName
 from imolo.errors import TrainingDataError
@@ -17,8 +18,6 @@ from imolo.trials.metrics import HORIZONS, Statistic, TrialResult, judge_campaig
 from imolo.trials.recordings import hand_at, hand_samples, last_plan, merge
 from imolo_msgs import ball_state_t, marker_t, plan_t
 
-CONFIG = config("mujoco")
-HAND = CONFIG.robot.hand_marker
 ONSET, HIT_UTIME = 200_000, 700_000  # [µs]
 START, VELOCITY = np.array([0.5, -0.2, 1.0]), np.array([3.0, 0.5, 7.0])  # of the hand [m], [m/s]
 BALL, BALL_VELOCITY = np.array([5.0, 0.3, 1.1]), np.array([-5.0, -0.4, 1.0])
@@ -87,13 +86,20 @@ def test_hand_error_is_the_distance_to_the_grid_point_when_it_counts() -> None:
 def test_hand_error_is_that_of_the_hand_that_was_chosen() -> None:
     log = made_log()
     for message in log.messages[channels.PLAN]:
-        message.hitting_hand = -1
+        message.effector = 1
     for frame in log.messages[channels.MOCAP]:
         other = frame.markers[0]
         assert other.marker_id == HAND
-        other.marker_id = CONFIG.robot.other_hand_marker
+        other.marker_id = BODY.effector_marker(1)
     assert judge_trial(log, CONFIG).hand_error == pytest.approx(0.005, abs=1e-12)
     assert judge_trial(made_log(), CONFIG).hand_error is not None
+
+
+def test_motion_that_names_no_effector_is_judged_by_the_one_that_learns() -> None:
+    log = made_log()
+    for message in log.messages[channels.PLAN]:
+        message.effector = -1
+    assert judge_trial(log, CONFIG).hand_error == pytest.approx(0.005, abs=1e-12)
 
 
 def test_there_is_no_hand_error_without_a_motion_or_a_hand() -> None:
@@ -144,7 +150,7 @@ def test_last_plan_is_the_one_of_the_motion() -> None:
 
 def test_samples_are_those_of_the_swing() -> None:
     log = made_log()
-    samples = hand_samples(log, CONFIG.robot, CONFIG.training)
+    samples = hand_samples(log, CONFIG)
     since = samples.time - 0.33
     assert ((since > 0.13) & (since < 0.22)).all()
     # 90 ms at 120 Hz.
@@ -155,13 +161,15 @@ def test_samples_are_those_of_the_swing() -> None:
 
 def test_log_without_a_motion_cannot_be_learned_from() -> None:
     with pytest.raises(TrainingDataError, match=r"made\.lcmlog holds no motion"):
-        hand_samples(made_log(swings=False), CONFIG.robot, CONFIG.training)
+        hand_samples(made_log(swings=False), CONFIG)
 
 
 def test_log_without_the_hand_cannot_be_learned_from() -> None:
-    robot = CONFIG.robot.model_copy(update={"hand_marker": 77})
-    with pytest.raises(TrainingDataError, match=r"marker 77 was not seen .* is robot\.hand_marker the hand"):
-        hand_samples(made_log(), robot, CONFIG.training)
+    log = made_log()
+    for frame in log.messages[channels.MOCAP]:
+        frame.markers = [marker for marker in frame.markers if marker.marker_id != HAND]
+    with pytest.raises(TrainingDataError, match=r"marker 6 \(right_hand\) was not seen 0\.13 to 0\.22 s after"):
+        hand_samples(log, CONFIG)
 
 
 def test_no_trials_at_all_cannot_be_learned_from() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from liberobot import CHANNELS
 from played_trials import config, event, mocap, play
 from requirements import AVAILABLE, BACKEND_NAMES, needs
 
@@ -30,8 +31,10 @@ CONFIG = config("mujoco")
 FEW_THROWS = CONFIG.model_copy(update={"campaign": CONFIG.campaign.model_copy(update={"learning_throws": 4})})
 # A fifth of the paper's predictions along each axis and twice its tolerances: as many queries are answered.
 GRID = TableGrid(
-    t_w=GridAxis(start=0.21, stop=0.41, step=0.01),
-    k=GridAxis(start=-1.0, stop=1.0, step=0.05),
+    parameters={
+        "t_w": GridAxis(start=0.21, stop=0.41, step=0.01),
+        "k": GridAxis(start=-1.0, stop=1.0, step=0.05),
+    },
     time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.01),
     spacing=0.02,
     time_tolerance=0.02,
@@ -114,14 +117,14 @@ def test_first_command_arrives_before_its_onset(hit: Log) -> None:
 
 
 def test_executed_part_of_the_commands_never_changes(hit: Log) -> None:
-    commands = [Commands.from_message(message) for message in hit.messages[channels.ACTUATOR_COMMAND]]
+    commands = [Commands.from_message(message, CHANNELS) for message in hit.messages[channels.ACTUATOR_COMMAND]]
     received = hit.received[channels.ACTUATOR_COMMAND]
     for (before, after), effective in zip(pairwise(commands), received[1:], strict=True):
         assert before.matches_until(after, effective)
 
 
 def test_only_updates_change_the_commands(hit: Log) -> None:
-    commands = [Commands.from_message(message) for message in hit.messages[channels.ACTUATOR_COMMAND]]
+    commands = [Commands.from_message(message, CHANNELS) for message in hit.messages[channels.ACTUATOR_COMMAND]]
     states = [plan.state for plan in hit.messages[channels.PLAN]][-len(commands) :]
     for (before, after), state in zip(pairwise(commands), states[1:], strict=True):
         assert (before == after) == (state == plan_t.KEPT)
@@ -130,8 +133,8 @@ def test_only_updates_change_the_commands(hit: Log) -> None:
 def test_plan_tells_the_motion_that_is_commanded(hit: Log, learned: Learned) -> None:
     plans = [plan for plan in hit.messages[channels.PLAN] if plan.plan_onset_utime]
     for plan, message in zip(plans, hit.messages[channels.ACTUATOR_COMMAND], strict=True):
-        expected = learned.table.template.commands(tuple(plan.theta), plan.plan_onset_utime)  # type: ignore[arg-type]
-        assert Commands.from_message(message) == expected
+        expected = learned.table.template.commands(tuple(plan.theta), plan.plan_onset_utime)
+        assert Commands.from_message(message, CHANNELS) == expected
         assert plan.hit_utime > plan.plan_onset_utime
 
 

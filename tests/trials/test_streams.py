@@ -6,26 +6,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from played_trials import BACKENDS, COARSE, Commander, command, config, events, play, play_motion, quiet
+from liberobot import CONFIG, HAND
+from played_trials import COARSE, Commander, command, config, events, play, play_motion, quiet
+from requirements import BACKEND_PARAMS
 
-from imolo.config.simulation import SimulationConfig
 from imolo.contracts.trial import EventName, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.log import Log
-from imolo.method.motion import Theta
 from imolo.trials.recordings import hand_at, last_plan
 from imolo.trials.trainer import START_MARGIN
-from imolo.trials.trial import SLICE
+from imolo.trials.trial import SLICE, describe_robot
 from imolo_msgs import actuator_command_t
 
-THETA = Theta(0.5, 0.25)
+THETA = (0.5, 0.25)
 STEP = round(COARSE * 1e6)  # [µs]
 TICK = SLICE  # [µs] at which the bus is looked at
-RATES = SimulationConfig()
-DURATION = START_MARGIN + THETA.t_w  # [s] of the training trial
+RATES = CONFIG.simulation
+DURATION = START_MARGIN + THETA[1]  # [s] of the training trial
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
+@pytest.fixture(scope="module", params=BACKEND_PARAMS)
 def backend(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name
@@ -48,6 +48,7 @@ def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
         channels.ACTUATOR_STATE,
         channels.MOCAP,
         channels.PLAN,
+        channels.ROBOT,
         channels.TRIAL,
         channels.TRUTH_ROBOT,
         channels.TRUTH_BALL,
@@ -57,12 +58,12 @@ def test_training_trial_speaks_on_these_channels_alone(training: Log) -> None:
 @pytest.mark.parametrize(
     ("channel", "rate"),
     [
-        (channels.ACTUATOR_STATE, RATES.pressure_rate),
+        (channels.ACTUATOR_STATE, RATES.sensor_rate),
         (channels.TRUTH_ROBOT, RATES.truth_rate),
         (channels.TRUTH_BALL, RATES.truth_rate),
     ],
 )
-def test_pressures_and_truth_come_at_their_rates(training: Log, channel: str, rate: float) -> None:
+def test_sensors_and_truth_come_at_their_rates(training: Log, channel: str, rate: float) -> None:
     utimes = [message.utime for message in training.messages[channel]]
     # On the first step after each instant.
     instants = np.arange(1, int(DURATION * rate + 1e-6) + 1) / rate
@@ -76,9 +77,9 @@ def test_every_mocap_frame_has_its_truth(training: Log) -> None:
     assert {frame.utime for frame in training.messages[channels.MOCAP]} <= truth
 
 
-def test_pressures_are_numbered_without_a_gap(training: Log) -> None:
+def test_sensors_are_numbered_without_a_gap(training: Log) -> None:
     numbers = [message.state_sequence for message in training.messages[channels.ACTUATOR_STATE]]
-    assert numbers == list(range(1, round(DURATION * RATES.pressure_rate) + 1))
+    assert numbers == list(range(1, round(DURATION * RATES.sensor_rate) + 1))
 
 
 def test_frames_are_exposed_at_120_hz(training: Log) -> None:
@@ -125,6 +126,24 @@ def test_throw_events_come_in_order(throw: Log) -> None:
     assert not {EventName.ONSET, EventName.TOUCH} & set(names)
 
 
+def test_log_begins_with_what_its_numbers_mean(training: Log, throw: Log, backend: str) -> None:
+    for log in (training, throw):
+        (robot,) = log.messages[channels.ROBOT]
+        assert robot.utime == log.received[channels.ROBOT][0] == 0
+        assert robot.encode() == describe_robot(config(backend), 0).encode()
+        assert (robot.robot_name, robot.task_name) == ("liberobot", "hit")
+        assert (robot.parameter_name, robot.parameter_unit) == (["k", "t_w"], ["", "s"])
+        assert list(zip(robot.effector_name, robot.effector_label, strict=True)) == [
+            ("right_hand", 6),
+            ("left_hand", 7),
+        ]
+        truth = log.messages[channels.TRUTH_ROBOT][0]
+        assert (truth.num_joints, truth.num_effectors) == (robot.num_robot_joints, robot.num_robot_effectors) == (8, 2)
+        state = log.messages[channels.ACTUATOR_STATE][0]
+        assert state.num_measured == robot.num_channels == 8
+        assert set(robot.channel_unit) == {"Pa"}
+
+
 def test_texts_are_ascii_so_that_every_lcm_language_reads_them(training: Log, throw: Log) -> None:
     for log in (training, throw):
         for event in log.messages[channels.TRIAL]:
@@ -146,10 +165,11 @@ def test_phase_switches_at_the_commanded_time(backend: str, phase: int, tmp_path
     dead_time, onset = 10_000, 20_000
 
     def pressures(name: str, target: float) -> dict[int, list[float]]:
-        message = command(onset, Theta(0.0, 0.15))
-        message.target_pressure[phase][2] = target
-        log = play(quiet(backend, pressure_noise=0.0), tmp_path / name, Commander(lambda _: message), 0.2)
-        return {m.utime: m.pressure for m in log.messages[channels.ACTUATOR_STATE]}
+        message = command(onset, (0.0, 0.15))
+        message.target[phase][2] = target
+        exact = quiet(backend, actuators={"pressure_noise": 0.0})
+        log = play(exact, tmp_path / name, Commander(lambda _: message), 0.2)
+        return {m.utime: m.measured for m in log.messages[channels.ACTUATOR_STATE]}
 
     one, other = pressures("one", 0.0), pressures("other", 6e5)
     start = (onset, onset + 100_000, onset + 150_000)[phase]
@@ -188,11 +208,11 @@ def test_motion_commanded_too_late_is_announced_with_its_lateness(backend: str, 
 def bad_command(fault: str) -> actuator_command_t:
     message = command(20_000)
     if fault == "not finite":
-        message.target_pressure[1][2] = float("nan")
+        message.target[1][2] = float("nan")
     elif fault == "too high":
-        message.target_pressure[1][2] = 5e6
+        message.target[1][2] = 5e6
     elif fault == "negative":
-        message.target_pressure[0][0] = -1.0
+        message.target[0][0] = -1.0
     elif fault == "backwards":
         message.switch_utime.reverse()
     return message
@@ -204,7 +224,7 @@ def test_bad_command_is_refused_and_nothing_moves(
 ) -> None:
     asked = play(quiet(backend), tmp_path / "asked", Commander(lambda _: bad_command(fault)), 0.06)
     resting = play(quiet(backend), tmp_path / "resting", duration=0.06)
-    assert "refused a valve command" in caplog.text
+    assert "refused a command" in caplog.text
     assert events(asked, EventName.ONSET) == []
     truths = ([m.encode() for m in log.messages[channels.TRUTH_ROBOT]] for log in (asked, resting))
     assert next(truths) == next(truths)
@@ -223,9 +243,9 @@ def test_bad_command_does_not_end_the_motion_under_way(backend: str, tmp_path: P
 
 def test_hand_of_the_cameras_is_the_true_hand(backend: str, tmp_path: Path) -> None:
     log = play_motion(quiet(backend), tmp_path / "log", THETA, 0.2)
-    truth = {message.utime: message.right_hand_position for message in log.messages[channels.TRUTH_ROBOT]}
+    truth = {message.utime: message.effector_position for message in log.messages[channels.TRUTH_ROBOT]}
     both = [frame.utime for frame in log.messages[channels.MOCAP] if frame.utime in truth]
     assert len(both) >= 3
     for utime in both:
         # A spline passes through its knots.
-        assert hand_at(log, 6, utime * 1e-6) == pytest.approx(truth[utime], abs=1e-12)
+        assert hand_at(log, HAND, utime * 1e-6) == pytest.approx(truth[utime][0], abs=1e-12)

@@ -8,22 +8,22 @@ from unittest import mock
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from imolo_backends.actuators.plant import Plant
+from liberobot import AIR, CHANNELS
 from played_trials import COARSE, Commander, events, play, quiet
 from requirements import AVAILABLE
 
-from imolo.config.simulation import PneumaticsConfig
 from imolo.contracts.trial import EventName
 from imolo.messaging.log import Log
 from imolo.method.commands import Commands
+from imolo_backends.actuators.pneumatics import Pneumatics
 
 STEP = round(COARSE * 1e6)  # [µs]
 DURATION = 0.06  # [s]
-REST = np.array(PneumaticsConfig().rest_pressure)
+REST, RELEASED = (np.array(values) for values in zip(*((c.rest, c.released) for c in CHANNELS), strict=True))
 # A command that answers the first frame, which is exposed after 8.3 ms, is received 5 ms of latency and a slice later.
 EARLIEST = 15_000  # [µs]
 
-pressures = st.lists(st.floats(0.0, SUPPLY_PRESSURE), min_size=NUM_VALVES, max_size=NUM_VALVES)
+pressures = st.lists(st.floats(0.0, AIR.supply_pressure), min_size=len(CHANNELS), max_size=len(CHANNELS))
 
 
 @st.composite
@@ -39,13 +39,13 @@ def executed(backend: str, commands: Commands) -> tuple[np.ndarray, Log]:
     """Run a trial under commands; return the valves' targets in each step [Pa], shape (N, 8), and the log."""
     targets: list[np.ndarray] = []
 
-    class Watched(Plant):
+    class Watched(Pneumatics):
         def step(self, *motion: Any) -> None:
             targets.append(self.target.copy())
             super().step(*motion)
 
     message = commands.to_message(0, 1)
-    with TemporaryDirectory() as folder, mock.patch("imolo_backends.simulation.simulated.Plant", Watched):
+    with TemporaryDirectory() as folder, mock.patch("imolo_backends.actuators.pneumatics.Pneumatics", Watched):
         log = play(quiet(backend), Path(folder) / "log", Commander(lambda _: message), DURATION)
     return np.array(targets), log
 
@@ -55,8 +55,10 @@ def executed(backend: str, commands: Commands) -> tuple[np.ndarray, Log]:
 def test_any_valid_commands_switch_at_the_same_times_on_every_backend(commands: Commands) -> None:
     """In the step from t on, every backend has the target of U at t, and it tells the onset on the first such step."""
     times = STEP * np.arange(round(DURATION / COARSE))
-    at_times = [commands.target(int(time)) for time in times]
-    expected = [REST if target is None else target for target in at_times]
+    in_motion = (times >= commands.onset_utime) & (times < commands.end_utime)
+    expected = np.where((times < commands.onset_utime)[:, np.newaxis], REST, RELEASED)
+    for step in np.flatnonzero(in_motion):
+        expected[step] = commands.target(int(times[step]))
     for backend in AVAILABLE:
         targets, log = executed(backend, commands)
         assert np.array_equal(targets, expected), backend

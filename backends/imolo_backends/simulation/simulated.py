@@ -90,7 +90,7 @@ class SimulatedBackend:
         ball = replace(task.ball, position=tuple(throw.position.tolist()))
         check_start_up(self._engine_class, self._options, config.timestep, body)
         drawn = config.actuators.draw(config.disturbance, rng)
-        offset = _inwards(body) * np.abs(rng.normal(0.0, 1.0, len(body.ready))) * config.disturbance.joint_angle
+        offset = draw_joint_offset(body, config.disturbance.joint_angle, rng)
         scene = body.scene(ball, config.timestep, config.contact.friction, config.contact.restitution, offset)
         self._engine = self._engine_class(scene, self._options)
         self._actuators = config.actuators.create(
@@ -298,10 +298,19 @@ def simulated_plugin(
     return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {})
 
 
-def _inwards(body: Body) -> Array:
-    """Return the sign by which each joint can only be off: a ready pose may rest on the joints' stops, shape (J,)."""
+def draw_joint_offset(body: Body, deviation: float, rng: np.random.Generator) -> Array:
+    """Draw by how much the ready pose of a trial is off [rad], shape (J,).
+
+    Args:
+        body: Whose joints are off inwards alone, since a ready pose may rest on their stops.
+        deviation: Standard deviation [rad].
+        rng: Chance of this trial.
+    """
     low, high = body.joint_limits.T
-    return np.where(high - np.array(body.ready) < np.array(body.ready) - low, -1.0, 1.0)
+    ready = np.array(body.ready)
+    inwards = np.where(high - ready < ready - low, -1.0, 1.0)
+    offset: Array = inwards * np.abs(rng.normal(0.0, 1.0, len(ready))) * deviation
+    return offset
 
 
 def _tell_ball(truth: truth_ball_t, utime: int, state: EngineState) -> None:
