@@ -5,17 +5,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from requirements import BACKENDS as BACKENDS
+from requirements import BACKEND_PARAMS as BACKEND_PARAMS
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for, make_config
+from imolo.contracts.planner import Controller
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.motion import Theta
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
-from imolo.trials.trial import Bystander, Controller, run_trial
-from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, actuator_command_t
+from imolo.trials.trial import Bystander, run_trial
+from imolo_msgs import actuator_command_t, marker_t, mocap_frame_t, plan_t, trial_event_t
 
 COARSE = 5e-4  # [s] for claims that are not about the precision of the physics
 UNDISTURBED = {"profile": "none"}
@@ -25,7 +27,7 @@ PERFECT_CAMERAS = {"marker_noise": 0.0, "marker_dropout": 0.0, "frame_dropout": 
 def config(
     backend: str, timestep: float = COARSE, options: Mapping[str, Any] | None = None, seed: int = 1, **simulation: Any
 ) -> ExperimentConfig:
-    return ExperimentConfig.model_validate(
+    return make_config(
         {
             "seed": seed,
             "backend": {"name": backend, **(options or {})},
@@ -56,7 +58,7 @@ def play(
 
 def play_motion(chosen: ExperimentConfig, path: Path, theta: Theta, after: float) -> Log:
     """Run one motion until `after` seconds after t_w."""
-    return play(chosen, path, MotionPlayer(chosen.motion, theta), START_MARGIN + theta.t_w + after)
+    return play(chosen, path, MotionPlayer(chosen.motion, theta), START_MARGIN + chosen.motion.swing_of(theta) + after)
 
 
 class Commander:
@@ -74,8 +76,8 @@ class Commander:
         bus.subscribe(channels.MOCAP, on_frame)
 
 
-def command(onset_utime: int, theta: Theta = Theta(0.0, 0.3)) -> actuator_command_t:  # noqa: B008 (immutable)
-    return MotionTemplate().commands(theta, onset_utime).to_message(0, 1)
+def command(onset_utime: int, theta: Theta = (0.0, 0.3)) -> actuator_command_t:
+    return config_for("mujoco").motion.commands(theta, onset_utime).to_message(0, 1)
 
 
 def events(log: Log, name: str) -> list[trial_event_t]:
@@ -86,7 +88,7 @@ def hand_in_truth(log: Log, utime: int) -> np.ndarray:
     """Return the right hand at a time, linear between two messages [m], shape (3,)."""
     truth = log.messages[channels.TRUTH_ROBOT]
     times = [message.utime for message in truth]
-    hand = np.array([message.right_hand_position for message in truth])
+    hand = np.array([message.effector_position[0] for message in truth])
     return np.array([np.interp(utime, times, hand[:, axis]) for axis in range(3)])
 
 

@@ -47,6 +47,6 @@ def needs(*names: str) -> list[pytest.MarkDecorator]:
 
 
 BACKEND_NAMES = ("mujoco", "pybullet", "dart", "ode")
-BACKENDS = [pytest.param(name, marks=needs(name)) for name in BACKEND_NAMES]
+BACKEND_PARAMS = [pytest.param(name, marks=needs(name)) for name in BACKEND_NAMES]
 AVAILABLE = tuple(name for name in BACKEND_NAMES if not needs(name))
 """The backends of a test that runs several of them at once."""

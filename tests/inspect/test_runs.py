@@ -43,7 +43,7 @@ def test_run_is_the_same_as_itself(recorded: Recorded, run: Run) -> None:
 
 @pytest.mark.parametrize(
     ("channel", "field", "element"),
-    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "pressure", 7), ("PLAN", "target_position", 1)],
+    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "measured", 7), ("PLAN", "target_position", 1)],
 )
 def test_diff_names_the_message_field_and_time_that_were_changed(
     recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int

@@ -6,7 +6,7 @@ from imolo.contracts.trial import EventName
 from imolo.live.clock import GIVE_UP, Pace
 from imolo.live.streams import Latency, Streams
 from imolo.messaging import channels
-from imolo_msgs import mocap_frame_t, trial_event_t, actuator_command_t
+from imolo_msgs import actuator_command_t, mocap_frame_t, trial_event_t
 
 SLICE = 1000  # [µs]
 
