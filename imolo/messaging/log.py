@@ -11,12 +11,16 @@ import lcm
 
 from imolo.errors import BusError
 from imolo.messaging.bus import Bus
-from imolo.messaging.channels import CHANNELS
+from imolo.messaging.channels import CHANNELS, TRIAL
 from imolo.messaging.log_file import HEADER, Damage, LogEvent, read_events
 
 logger = logging.getLogger(__name__)
 
 LOG_SUFFIX = ".lcmlog"
+
+OLDER_CHANNELS = ("VALVE_COMMAND", "VALVE_PRESSURE")
+OLDER_TRIAL = bytes.fromhex("85d8afedc33c97b7")
+"""Fingerprint of the trial_event_t of imolo 0.1."""
 
 
 class Recorder:
@@ -79,12 +83,13 @@ def read_log(path: Path) -> Log:
     """Read and decode a log; channels that are not ours are passed over, damage is skipped and told in a warning.
 
     Raises:
-        BusError: The file is missing or no log, or a channel in it carries messages of another type.
+        BusError: The file is missing or no log, of imolo 0.1, or a channel in it carries messages of another type.
     """
     events, damage = read_events(path)
     log = Log(path, damage=damage)
     broken: dict[str, LogEvent] = {}
     for event in events:
+        refuse_older(path, event)
         if event.channel not in CHANNELS:
             continue
         message = decode(event.channel, event.data)
@@ -104,6 +109,12 @@ def read_log(path: Path) -> Log:
     damage.sort(key=lambda part: part.start)
     warn_of_damage(path, damage)
     return log
+
+
+def refuse_older(path: Path, event: LogEvent) -> None:
+    """Raise `BusError` for an event that only imolo 0.1 wrote, whose messages knew Liberobot's valves alone."""
+    if event.channel in OLDER_CHANNELS or (event.channel == TRIAL and event.data.startswith(OLDER_TRIAL)):
+        raise BusError(f"{path} was recorded before robots were plug-ins; read it with imolo 0.1, or record it again")
 
 
 def decode(channel: str, data: bytes) -> Any | None:
