@@ -19,13 +19,12 @@ import numpy as np
 
 from benchmarks.measurement import Measurement
 from imolo.campaigns.campaign import TrialTask, hit_tasks, run_task
-from imolo.config.loading import make_config
+from imolo.config.loading import body_of, config_for, make_config
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import TrialVoidError
 from imolo.machine.priority import BACKEND_PRIORITY, claimed_priority
 from imolo.messaging import channels
 from imolo.messaging.log import Log, read_log
-from imolo.method.commands import Commands
 from imolo.trials.trial import Bystander, run_trial
 from imolo_drivers import hardware_backend
 from imolo_drivers.board.board import BoardState
@@ -34,7 +33,7 @@ from imolo_drivers.board.command import make_command
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.handshake import ClientRole
 from imolo_drivers.board.server import monotonic_utime
-from imolo_drivers.emulator import DEFINITIONS, MODEL_ID
+from imolo_drivers.emulator import MODEL_ID, definitions_of
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.messages import Frame, LabelledMarker
 from imolo_drivers.natnet.server import NatNetServer
@@ -216,7 +215,9 @@ class _Reports(logging.Handler):
 def _stalling_cameras(port: Connection) -> None:
     """Be a Motive that sends frames for a while, then none, and so on."""
     markers = tuple(LabelledMarker(MODEL_ID, number, (0.0, 0.5, 0.0)) for number in range(1, 13))
-    with NatNetServer(NatNetServerConfig(command_port=0), definitions=DEFINITIONS) as motive:
+    with NatNetServer(
+        NatNetServerConfig(command_port=0), definitions=definitions_of(body_of(config_for("mujoco").robot))
+    ) as motive:
         port.send(motive.port)
         number, due = 0, time.monotonic()
         while True:

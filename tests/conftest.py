@@ -5,8 +5,13 @@ from pathlib import Path
 
 import pytest
 from command_line import Run
+from hypothesis import settings
 
 from imolo.command_line.main import main
+
+# On a busy machine any example may take long.
+settings.register_profile("imolo", deadline=None)
+settings.load_profile("imolo")
 
 
 @pytest.fixture

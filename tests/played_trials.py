@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from liberobot import MOTION
+from requirements import BACKEND_PARAMS as BACKEND_PARAMS
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import make_config

@@ -2,7 +2,6 @@
 
 import contextlib
 import gc
-import struct
 import tempfile
 from collections import deque
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from imolo.live.program import Console, Stop, run_node
 from imolo.live.remote_planner import LockstepPlanner, RealtimePlanner
 from imolo.machine.priority import BACKEND_PRIORITY, claim_priority
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo.messaging.log import read_log
 from imolo.trials.trial import Bystander, run_trial
 from imolo_msgs import throw_report_t, throw_request_t
@@ -145,8 +144,9 @@ class BackendProgram:
     def _on_request(self, _: str, data: bytes) -> None:
         try:
             message = throw_request_t.decode(data)
-        except (ValueError, struct.error):
-            return  # its heartbeat says which version it is
+        except UNREADABLE:
+            self._bus.pass_over(channels.THROW_REQUEST)
+            return
         request = self._requests.get(message.requester)
         if request is None:
             request = _Request(message.requester, max(message.num_throws, 0))

@@ -4,13 +4,12 @@ Every request carries one message of the backend, every answer all that the plan
 network loses, doubles, delays or reorders is repaired by sending one datagram again, and changes nothing else.
 """
 
-import struct
 import time
 from collections.abc import Callable, Sequence
 
 from imolo.errors import TrialVoidError
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo_msgs import envelope_t, step_answer_t, step_request_t
 
 FIRST_RESEND = 0.005  # [s] ten times what an answer takes on one machine
@@ -42,10 +41,11 @@ class Asker:
         self._answer: step_answer_t | None = None
         bus.subscribe_raw(self._on_answer, channels.STEP_ANSWER)
 
-    def ask(self, channel: str, data: bytes, first: bool, paced: bool) -> list[Said]:
+    def ask(self, planner: int, channel: str, data: bytes, first: bool, paced: bool) -> list[Said]:
         """Return what the planner says to a message.
 
         Args:
+            planner: Instance of the planner of this trial; what others answer is not heard.
             channel: Of the message.
             data: Its bytes.
             first: Whether a trial starts with it.
@@ -55,6 +55,7 @@ class Asker:
             TrialVoidError: The planner has not seen the trial from its start.
         """
         previous = 0 if first else self._number
+        self._planner = planner
         self._number += 1
         self.asked += 1
         request = step_request_t()
@@ -63,9 +64,7 @@ class Asker:
         request.paced = int(paced)
         request.asked = _envelope((channel, data))
         answer = self._exchange(request.encode())
-        if first:
-            self._planner = answer.answering_planner
-        if answer.state_lost or answer.answering_planner != self._planner:
+        if answer.state_lost:
             raise TrialVoidError("the planner was started again during the trial")
         return [(one.inner_channel, one.inner_data) for one in answer.answers]
 
@@ -86,9 +85,11 @@ class Asker:
     def _on_answer(self, _: str, data: bytes) -> None:
         try:
             answer = step_answer_t.decode(data)
-        except (ValueError, struct.error):
-            return  # of another version; its heartbeat says so
-        if (answer.answered_backend, answer.answered_step) == (self._instance, self._number):
+        except UNREADABLE:
+            self._bus.pass_over(channels.STEP_ANSWER)
+            return
+        named = answer.answering_planner, answer.answered_backend, answer.answered_step
+        if named == (self._planner, self._instance, self._number):
             self._answer = answer
 
 

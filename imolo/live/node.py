@@ -1,7 +1,6 @@
 """A program among others: it sends its heartbeat, hears those of the others, and says who comes and goes."""
 
 import os
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from dataclasses import dataclass
 from imolo.errors import BusError
 from imolo.live.identity import Identity, Role, mismatch, protocol
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo_msgs import heartbeat_t
 
 BEAT = 0.1  # [s] between two heartbeats
@@ -70,13 +69,18 @@ class Node:
         self._unreadable = False
         self._begin = now()
         self._next = self._begin
-        self._heard_itself = False
+        self._heard_itself = self._settled = False
         bus.subscribe_raw(self._on_heartbeat, channels.HEARTBEAT)
 
     def peer(self, role: Role) -> Peer | None:
         """Return the program of a role that is alive and may be worked with; None if there is none."""
         fitting = [peer for peer in self._peers.values() if peer.identity.role is role and not peer.refused]
         return max(fitting, key=lambda peer: peer.instance, default=None)
+
+    def works_with(self, role: Role, instance: int) -> bool:
+        """Return whether a program of a role is alive and may be worked with."""
+        peer = self._peers.get(instance)
+        return peer is not None and peer.identity.role is role and not peer.refused
 
     def tend(self) -> None:
         """Send a heartbeat when it is due or there is news, and give up peers that are silent."""
@@ -117,13 +121,15 @@ class Node:
         try:
             message = heartbeat_t.decode(data)
             role = Role(message.role)
-        except (ValueError, struct.error):
+        except UNREADABLE:
             if not self._unreadable:
                 self._unreadable = True
                 self._say("a program of another version of imolo is on this bus; it is passed over")
             return
         if message.instance == self.instance:
             self._heard_itself = True
+            # All that others said before this beat has been heard; whoever was here first has been met.
+            self._settled |= message.beat_utime >= round((self._begin + SILENCE) * 1e6)
         elif message.instance not in self._gone:
             self._hear(role, message)
 
@@ -141,10 +147,15 @@ class Node:
         identity = Identity(role, message.node_robot, message.clock_mode, sections)
         refused = mismatch(self._identity, identity, message.protocol)
         peer = Peer(identity, message.instance, message.pid, refused, message.activity, self._now())
-        if role is self._identity.role and role in ALONE and message.instance < self.instance:
+        earlier = role is self._identity.role and role in ALONE and message.instance < self.instance
+        if earlier and not self._settled:
             raise BusError(f"another {peer} is on this bus already; stop it, or give another --bus")
         self._peers[peer.instance] = peer
-        self._say(f"{peer} is refused, nothing will move: {refused}" if refused else f"{peer} is here")
+        if earlier:
+            # A newcomer gives way; a program that is at work does not.
+            self._say(f"another {peer} has come to this bus; it is passed over")
+        else:
+            self._say(f"{peer} is refused, nothing will move: {refused}" if refused else f"{peer} is here")
         # The newcomer need not wait for the next beat.
         self._next = 0.0
         return peer

@@ -1,7 +1,6 @@
 """`imolo planner`: the planner as a program of its own, in lock-step or in real time, as the backend says."""
 
 import gc
-import struct
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from imolo.live.program import Console, Stop, run_node
 from imolo.live.streams import Latency, Streams, is_start
 from imolo.machine.priority import PLANNER_PRIORITY, claim_priority
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo.method.table import LookupTable
 from imolo_msgs import step_request_t
 
@@ -25,9 +24,9 @@ from imolo_msgs import step_request_t
 class _Inside(Bus):
     """The planner's own bus, without a queue: what it is told it hears, and what it says is heard, at once."""
 
-    def __init__(self, hear: Callable[[str, bytes], None]) -> None:
-        """Hand everything that is published to `hear`."""
-        self._hear = hear
+    def __init__(self, hear: Callable[[str, bytes], None], strange: Callable[[str], None]) -> None:
+        """Hand everything that is published to `hear`, and the channel of what cannot be read to `strange`."""
+        self._hear, self._tell_strange = hear, strange
         self._handlers: dict[str, list[Callable[[str, bytes], None]]] = {}
 
     def publish_raw(self, channel: str, data: bytes) -> None:
@@ -38,6 +37,10 @@ class _Inside(Bus):
         """Let the planner hear a message."""
         for handler in self._handlers.get(channel, ()):
             handler(channel, data)
+
+    def pass_over(self, channel: str) -> None:
+        """Tell of what cannot be read."""
+        self._tell_strange(channel)
 
     def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
         self._handlers.setdefault(channel, []).append(handler)
@@ -61,8 +64,9 @@ class PlannerProgram:
         self._streams, self._latency = Streams(), Latency()
         self._skipped = self._unreadable = 0
         self._paced = False
+        self._backend = 0
         self._said: list[Said] = []
-        self._inside = _Inside(self._hear)
+        self._inside = _Inside(self._hear, self._pass_over)
         self._controller = controller
         controller.attach(self._inside)
         bus.subscribe_raw(self._on_request, channels.STEP_REQUEST)
@@ -95,22 +99,20 @@ class PlannerProgram:
             f"frame to command {self._latency}"
         )
 
-    def _from_our_backend(self, instance: int | None = None) -> bool:
-        backend = self._node.peer(Role.BACKEND)
-        return backend is not None and instance in (None, backend.instance)
-
     def _on_request(self, _: str, data: bytes) -> None:
         try:
             asking = step_request_t.decode(data).asking_backend
-        except (ValueError, struct.error):
-            return  # its heartbeat says which version it is
-        if self._from_our_backend(asking):
+        except UNREADABLE:
+            self._bus.pass_over(channels.STEP_REQUEST)
+            return
+        if self._node.works_with(Role.BACKEND, asking):
             reply = self._answerer.answer(data)
             if reply is not None:
                 self._bus.publish_raw(channels.STEP_ANSWER, reply)
 
     def _answer(self, request: step_request_t) -> Sequence[Said]:
         if request.previous_step == 0:
+            self._backend = request.asking_backend
             if request.paced and not self._paced:
                 self._console.say(f"real time; {claim_priority(PLANNER_PRIORITY)}")
             self._paced = bool(request.paced)
@@ -130,14 +132,14 @@ class PlannerProgram:
             self._bus.publish_raw(*said)
 
     def _overhear(self, channel: str, data: bytes) -> Sequence[Said]:
-        """Return what the planner says to a message that was not sent to it alone; nothing where it cannot be read."""
-        if not (self._paced and self._from_our_backend()):
+        """Return what the planner says to a message that was not sent to it alone."""
+        if not (self._paced and self._node.works_with(Role.BACKEND, self._backend)):
             return ()
-        try:
-            return self._tell(channel, data)
-        except (ValueError, struct.error):
-            self._unreadable += 1
-            return ()
+        return self._tell(channel, data)
+
+    def _pass_over(self, channel: str) -> None:
+        self._unreadable += 1
+        self._bus.pass_over(channel)
 
     def _hear(self, channel: str, data: bytes) -> None:
         if self._paced and channel == channels.ACTUATOR_COMMAND:
@@ -155,7 +157,10 @@ class PlannerProgram:
         """Tell the planner and return what it says, but for what has been sent already."""
         begin = time.perf_counter()
         self._said.clear()
+        unreadable = self._unreadable
         self._inside.tell(channel, data)
+        if self._unreadable > unreadable:
+            return ()
         self._streams.count(channel, data)
         if channel == channels.MOCAP:
             self._latency.add(time.perf_counter() - begin)

@@ -8,7 +8,7 @@ mode a trial's log is judged by the same code.
 import struct
 import time
 from abc import ABC, abstractmethod
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from imolo.live.node import Node
 from imolo.live.program import Console, Stop
 from imolo.live.streams import Latency, Streams
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo.messaging.channels import CHANNELS
 from imolo.method.commands import Commands
 from imolo.trials.trial import SLICE
@@ -118,7 +118,7 @@ class RemotePlanner(ABC):
             return  # what is left of a trial that was broken off
         begin = time.perf_counter()
         try:
-            answers = self._asker.ask(channel, data, first, self.paced)
+            answers = self._asker.ask(self._planner, channel, data, first, self.paced)
         except TrialVoidError as void:
             self._void = str(void)
             raise
@@ -140,10 +140,7 @@ class RemotePlanner(ABC):
         raise TrialVoidError(reason)
 
     def _planner_lost(self) -> str:
-        planner = self._node.peer(Role.PLANNER)
-        if planner is None:
-            return "the planner was lost"
-        return "" if planner.instance == self._planner else "the planner was started again"
+        return "" if self._node.works_with(Role.PLANNER, self._planner) else "the planner was lost"
 
 
 class LockstepPlanner(RemotePlanner):
@@ -169,7 +166,9 @@ class LockstepPlanner(RemotePlanner):
 
 
 class RealtimePlanner(RemotePlanner):
-    """The trial waits for the clock on the wall alone; without its planner the robot is vented.
+    """The trial waits for the clock on the wall alone.
+
+    Where its planner is lost, or another program commands as well, the robot is vented and the trial void.
 
     Attributes:
         pace: How well the backend keeps up.
@@ -186,7 +185,7 @@ class RealtimePlanner(RemotePlanner):
         self.late_frames = self.ignored = 0
         self._utime = 0
         self._vented: int | None = None
-        self._command = b""
+        self._command: actuator_command_t | None = None
         self._answered = 0.0
         self._sent: dict[int, float] = {}
         bus.subscribe_newest(channels.ACTUATOR_COMMAND, self._on_command, self._count_skipped)
@@ -197,7 +196,7 @@ class RealtimePlanner(RemotePlanner):
         """Prepare for the next trial."""
         super().begin()
         self.pace.restart()
-        self._utime, self._vented, self._command = 0, None, b""
+        self._utime, self._vented, self._command = 0, None, None
         self._sent = {}
 
     def after_slice(self, utime: int) -> None:
@@ -215,6 +214,8 @@ class RealtimePlanner(RemotePlanner):
             self._give_up(self.lost)
 
     def _planner_lost(self) -> str:
+        if self.lost:
+            return self.lost
         silence = time.perf_counter() - self._answered
         if self._sent and silence > UNANSWERED:
             return f"the planner has not answered a frame for {silence:.1f} s"
@@ -245,42 +246,59 @@ class RealtimePlanner(RemotePlanner):
             self._sent[_UTIME.unpack_from(data)[0]] = now
 
     def _on_reason(self, channel: str, data: bytes) -> None:
-        if self._inside is not None and self._answers_a_frame(channel, data):
+        if self._inside is not None and self._answer_to_a_frame(channel, data) is not None:
             self._answered = time.perf_counter()
             self.streams.count(channel, data)
             self._inside.publish_raw(channel, data)
 
     def _on_command(self, channel: str, data: bytes) -> None:
         now = time.perf_counter()
-        if self._inside is None or self._vented is not None:
+        if self._inside is None or self._vented is not None or not self._is_from_our_planner(data):
             return
-        if not self._answers_a_frame(channel, data):
+        command = self._answer_to_a_frame(channel, data)
+        if command is None:
             self.ignored += 1
             return
         self.streams.count(channel, data)
-        self.latency.add(now - self._sent[_UTIME.unpack_from(data)[0]])
-        self._command = data
+        self.latency.add(now - self._sent[command.utime])
+        self._command = command
         self._inside.publish_raw(channel, data)
 
     def _count_skipped(self, data: bytes) -> None:
-        self.streams.count(channels.ACTUATOR_COMMAND, data)
+        if self._inside is None or self._vented is not None or self._is_from_our_planner(data):
+            self.streams.count(channels.ACTUATOR_COMMAND, data)
 
-    def _answers_a_frame(self, channel: str, data: bytes) -> bool:
-        """Return whether a message can be read and belongs to this trial: every trial begins at 0 again."""
+    def _is_from_our_planner(self, data: bytes) -> bool:
+        """Return whether a command is the planner's; one of somebody else ends the trial, whatever it commands."""
+        command = self._read(channels.ACTUATOR_COMMAND, data)
+        if command is not None and command.commander != self._planner:
+            self.lost = self.lost or (
+                f"stop the other program on this bus, or give another --bus: commander {command.commander} commands "
+                f"the robot beside planner {self._planner}"
+            )
+        return not self.lost
+
+    def _answer_to_a_frame(self, channel: str, data: bytes) -> Any | None:
+        """Return a message that belongs to this trial, None for one that does not: every trial begins at 0 again."""
+        message = self._read(channel, data)
+        return message if message is not None and message.utime in self._sent else None
+
+    def _read(self, channel: str, data: bytes) -> Any | None:
         try:
-            return CHANNELS[channel].message_type.decode(data).utime in self._sent
-        except (ValueError, struct.error):
-            return False
+            return CHANNELS[channel].message_type.decode(data)
+        except UNREADABLE:
+            self._bus.pass_over(channel)
+            return None
 
     def _vent(self, utime: int, lost: str) -> None:
         """Let the air out of a robot in motion; one at rest stays at rest."""
         self._vented, self.lost = utime, lost
-        if not self._command or self._inside is None:
+        if self._command is None or self._inside is None:
             self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
             return
-        sequence = actuator_command_t.decode(self._command).command_sequence + 1
+        sequence = self._command.command_sequence + 1
         released = np.array([[channel.released for channel in self._channels]])
-        vent = Commands(utime - 1, (utime,), released).to_message(utime, sequence)
+        vent = Commands(utime - 1, (utime,), released).to_message(utime, sequence, self._planner)
         self._inside.publish(channels.ACTUATOR_COMMAND, vent)
         self._bus.publish(channels.ACTUATOR_COMMAND, vent)
         self._console.say(f"{lost} at {utime * 1e-6:.3f} s; all valves vent")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from imolo.contracts.trial import EventName
 from imolo.messaging import channels
+from imolo.messaging.bus import UNREADABLE
 from imolo_msgs import trial_event_t
 
 # Where the number of a message is in its bytes: behind fingerprint and utime, 8 bytes each.
@@ -88,7 +89,7 @@ def is_start(data: bytes) -> bool:
     """Return whether a message on TRIAL starts a trial."""
     try:
         return bool(trial_event_t.decode(data).event == EventName.START)
-    except (ValueError, struct.error):
+    except UNREADABLE:
         return False
 
 

@@ -1,13 +1,12 @@
 """`imolo throw`: asks the backend for balls and tells how they went."""
 
-import struct
 import time
 
 from imolo.live.identity import Identity, Role
 from imolo.live.node import Node
 from imolo.live.program import Console, Stop, run_node
 from imolo.messaging import channels
-from imolo.messaging.bus import Bus
+from imolo.messaging.bus import UNREADABLE, Bus
 from imolo_msgs import throw_report_t, throw_request_t
 
 REPEAT = 0.2  # [s] between two requests, until all is done
@@ -51,7 +50,8 @@ class ThrowRequest:
     def _on_report(self, _: str, data: bytes) -> None:
         try:
             report = throw_report_t.decode(data)
-        except (ValueError, struct.error):
+        except UNREADABLE:
+            self._bus.pass_over(channels.THROW_REPORT)
             return
         if (report.reporting_backend, report.reported_requester) != (self._backend, self._requester):
             return

@@ -1,5 +1,6 @@
 """The message bus: LCM with our channels, and errors that say what to do."""
 
+import logging
 import select
 import struct
 from collections.abc import Callable
@@ -10,6 +11,11 @@ import lcm
 from imolo.errors import BusError, did_you_mean
 from imolo.messaging import udpm
 from imolo.messaging.channels import CHANNELS
+
+logger = logging.getLogger(__name__)
+
+UNREADABLE = (ValueError, struct.error, MemoryError, OverflowError)
+"""What a generated class raises for bytes that hold no message of its type."""
 
 
 class Bus:
@@ -33,6 +39,7 @@ class Bus:
         except RuntimeError as error:
             raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
         self._subscriptions: list[Any] = []
+        self._strange: set[str] = set()
         self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
 
     def publish(self, channel: str, message: Any) -> None:
@@ -51,13 +58,31 @@ class Bus:
         self.publish_raw(channel, data)
 
     def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
-        """Call `handler` with every decoded message of a channel, from within `drain`.
+        """Call `handler` with every decoded message of a channel, from within `drain`; others are passed over.
 
         Raises:
             BusError: The channel is not in the table.
         """
         decode = _message_type(channel).decode
-        self._subscribe(channel, lambda _, data: handler(decode(data)))
+
+        def hear(_: str, data: bytes) -> None:
+            try:
+                message = decode(data)
+            except UNREADABLE:
+                self.pass_over(channel)
+            else:
+                handler(message)
+
+        self._subscribe(channel, hear)
+
+    def pass_over(self, channel: str) -> None:
+        """Say once that a channel carries what is no message of its type."""
+        if channel not in self._strange:
+            self._strange.add(channel)
+            logger.warning(
+                "%s carries what is no %s, from another program or another version of imolo; it is passed over",
+                *(channel, _message_type(channel).__name__),
+            )
 
     def publish_raw(self, channel: str, data: bytes) -> None:
         """Send a message that is already encoded."""

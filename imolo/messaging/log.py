@@ -10,10 +10,14 @@ import lcm
 
 from imolo.errors import BusError
 from imolo.messaging.bus import Bus
-from imolo.messaging.channels import CHANNELS
+from imolo.messaging.channels import CHANNELS, TRIAL
 from imolo.messaging.log_file import HEADER, Damage, LogEvent, LogReader
 
 LOG_SUFFIX = ".lcmlog"
+
+OLDER_CHANNELS = ("VALVE_COMMAND", "VALVE_PRESSURE")
+OLDER_TRIAL = bytes.fromhex("85d8afedc33c97b7")
+"""Fingerprint of the trial_event_t of imolo 0.1."""
 
 
 class Recorder:
@@ -76,7 +80,7 @@ def read_log(path: Path) -> Log:
     """Read and decode a log; channels that are not ours are passed over, damage is skipped and told in a warning.
 
     Raises:
-        BusError: The file is missing or no log, or a channel in it carries messages of another type.
+        BusError: The file is missing or no log, of imolo 0.1, or a channel in it carries messages of another type.
     """
     log = Log(path)
     with LogReader(path, CHANNELS) as reader:
@@ -101,6 +105,7 @@ def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str
     broken: dict[str, LogEvent] = {}
     whole: set[str] = set()
     for event in events:
+        refuse_older(reader.path, event)
         if event.channel not in wanted:
             continue
         message = decode(event.channel, event.data)
@@ -118,6 +123,12 @@ def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str
                 f"{reader.path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
                 "was it recorded with other message types?"
             )
+
+
+def refuse_older(path: Path, event: LogEvent) -> None:
+    """Raise `BusError` for an event that only imolo 0.1 wrote, whose messages knew Liberobot's valves alone."""
+    if event.channel in OLDER_CHANNELS or (event.channel == TRIAL and event.data.startswith(OLDER_TRIAL)):
+        raise BusError(f"{path} was recorded before robots were plug-ins; read it with imolo 0.1, or record it again")
 
 
 def decode(channel: str, data: bytes) -> Any | None:

@@ -1,9 +1,9 @@
 """Read a results folder for the report; what is damaged is named together with the way to get it again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -156,10 +156,19 @@ def _read_configs(path: Path) -> tuple[dict[str, ExperimentConfig], dict[str, st
     for file in sorted((path / "configs").glob("*.yaml")):
         texts[file.stem] = read_text(file)
         try:
-            configs[file.stem] = validated_config(read_yaml(file, "it needs a backend"), f"{file} is damaged")
+            content = read_yaml(file, "it needs a backend")
+            _refuse_older(content, file)
+            configs[file.stem] = validated_config(content, f"{file} is damaged")
         except ConfigError as error:
             raise ResultsError(f"{error}; {AGAIN}") from error
     return configs, texts
+
+
+def _refuse_older(content: Any, file: Path) -> None:
+    if isinstance(content, Mapping) and "robot" in content and "task" not in content:
+        raise ResultsError(
+            f"{file} was written before robots were plug-ins; read it with imolo 0.1, or run `imolo compare` again"
+        )
 
 
 def _only_group(path: Path) -> tuple[str, str]:

@@ -5,18 +5,19 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from liberobot import foam_ball, ready_scene
 from mypy import api
 
 from imolo.conformance import Verdict, run_check
 from imolo.contracts.backend import BackendPlugin
 from imolo_backends.engines.mujoco_engine import MujocoEngine, MujocoOptions
-from imolo_robots.liberobot.body import foam_ball, ready_scene
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "adding-an-engine.md").read_text()
@@ -54,7 +55,7 @@ def test_it_passes_scenes_of_the_kit_or_declares_why_not(module: ModuleType) -> 
 
 
 def test_it_tells_the_same_touch_as_our_adapter(module: ModuleType) -> None:
-    scene = ready_scene(ball=foam_ball((0.9, 0.13, 1.0), (-6.0, 0.0, 1.0)))
+    scene = replace(ready_scene(), ball=replace(foam_ball((0.9, 0.13, 1.0)), velocity=(-6.0, 0.0, 1.0)))
     first = []
     for engine in (module.MyEngine(scene, module.MyOptions()), MujocoEngine(scene, MujocoOptions())):
         contacts = ()

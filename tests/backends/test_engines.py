@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from liberobot import BODY, foam_ball, ready_scene
 from pydantic import ValidationError
 
 from imolo.contracts.engine import Array, Engine, EngineState, Scene
@@ -12,14 +13,7 @@ from imolo.contracts.urdf import RobotModel, read_urdf
 from imolo.errors import BackendError
 from imolo_backends.engines import adapter
 from imolo_backends.engines.engine_checks import Loaded, check_loaded
-from imolo_robots.liberobot.body import (
-    ARM_LINKS,
-    JOINT_LIMITS,
-    JOINT_NAMES,
-    LINK_NAMES,
-    foam_ball,
-    ready_scene,
-)
+from imolo_robots.liberobot.body import JOINT_NAMES, LINK_NAMES
 
 DT = 1e-4
 G = 9.81
@@ -36,7 +30,7 @@ def run(engine: Engine, time: float, torque: Array = NO_TORQUE, force: Array = N
 
 def flying(**changes: Any) -> Scene:
     """Return the robot high in the air, all joints in the middle of their range."""
-    scene = replace(ready_scene(), base_position=FAR_UP, joint_angle=tuple(JOINT_LIMITS.mean(axis=1).tolist()))
+    scene = replace(ready_scene(), base_position=FAR_UP, joint_angle=tuple(BODY.joint_limits.mean(axis=1).tolist()))
     return replace(scene, **changes)
 
 
@@ -98,5 +92,5 @@ def test_an_arm_swung_at_the_ball_hits_it(make_engine: Any) -> None:
     engine = make_engine(replace(scene, ball=ball))
     hold = np.array([0.0, 0.0, ball.mass * G])
     state = run(engine, 0.4, np.array([0.0] * 6 + [0.0, 6.0]), hold)
-    assert {contact.other for contact in state.ball_contacts} <= set(ARM_LINKS)
+    assert {contact.other for contact in state.ball_contacts} <= {effector.link for effector in BODY.effectors}
     assert state.ball_velocity[2] > 3.0

@@ -19,7 +19,8 @@ from imolo.campaigns import campaign, kept_trials
 from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
 from imolo.campaigns.kept_trials import TrialTiming, partial_path, set_aside
 from imolo.campaigns.results import ResultsFolder
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.experiment import PluginConfig
+from imolo.config.loading import config_for
 from imolo.contracts import provenance
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BusError, ImoloError, ResultsError
@@ -28,7 +29,7 @@ from imolo.messaging import channels
 from imolo_msgs import trial_event_t
 
 TRIALS = 3
-CONFIG = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+CONFIG = config_for("mujoco")
 EVENTS = 400  # some 30 kB
 
 
@@ -375,7 +376,7 @@ def test_plug_in_that_was_changed_is_another(tmp_path: Path, monkeypatch: pytest
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-engine\nVersion: 1.5\n")
     (about / "entry_points.txt").write_text("[imolo.backends]\ntoy = toy.engine:BACKEND\n")
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    config = ExperimentConfig(backend=BackendConfig(name="toy"))
+    config = CONFIG.model_copy(update={"backend": PluginConfig(name="toy")})
     chosen = [TrialTask(config, task.trial, task.log_path) for task in tasks(tmp_path / "out")]
 
     def forget() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imolo.config.experiment import ExperimentConfig, load_config
+from imolo.config.loading import load_config
 from imolo.config.model import Model
 from imolo.config.reading import read_model
 from imolo.config.yaml_file import MOST_BYTES, YamlError, dump_yaml, load_yaml
@@ -28,10 +28,10 @@ class Settings(Model):
     pair: tuple[float, float] = (0.0, 0.0)
 
 
-def refusal(path: Path, text: str, model: type[Model] = ExperimentConfig) -> str:
+def refusal(path: Path, text: str, model: type[Model] | None = None) -> str:
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
-        read_model(path, model, "")
+        read_model(path, model, "") if model else load_config(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
     assert len(str(caught.value)) < len(str(path)) + 500

@@ -4,7 +4,7 @@ import pytest
 from recorded_trials import METHOD, Recorded
 
 from imolo.campaigns.campaign import learning_tasks, run_tasks
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.planner import Planner
@@ -14,8 +14,10 @@ from imolo.trials.trial import run_trial
 
 # A fifth of the paper's predictions along each axis and twice its tolerances: as many queries are answered.
 GRID = TableGrid(
-    t_w=GridAxis(start=0.21, stop=0.41, step=0.01),
-    k=GridAxis(start=-1.0, stop=1.0, step=0.05),
+    parameters={
+        "t_w": GridAxis(start=0.21, stop=0.41, step=0.01),
+        "k": GridAxis(start=-1.0, stop=1.0, step=0.05),
+    },
     time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.01),
     spacing=0.02,
     time_tolerance=0.02,
@@ -27,9 +29,7 @@ QUICK = ForwardModelConfig(parameters={"C": 100.0, "epsilon": 0.001, "gamma": 0.
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder = tmp_path_factory.mktemp("recorded")
-    config = ExperimentConfig.model_validate(
-        {"backend": {"name": "mujoco"}, "simulation": {"timestep": 5e-4}, "campaign": {"learning_throws": 3}}
-    )
+    config = config_for("mujoco", simulation={"timestep": 5e-4}, campaign={"learning_throws": 3})
     tasks = learning_tasks(config, folder / "learning")
     run_tasks(tasks, jobs=1)
     logs = {kind: [task.log_path for task in tasks if task.trial.kind is kind] for kind in TrialKind}

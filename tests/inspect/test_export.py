@@ -32,7 +32,7 @@ def log(recorded: Recorded) -> Log:
 
 def test_csv_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:
     code, output, errors = run("export", recorded.first, "--to", "csv", "--out", tmp_path / "tables")
-    assert (code, errors, len(output.splitlines())) == (0, "", 8)
+    assert (code, errors, len(output.splitlines())) == (0, "", 9)
     for name in STREAMS:
         messages = log.messages[name]
         with (tmp_path / "tables" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
@@ -102,8 +102,8 @@ def _assert_fields(content: dict[str, object], descriptor: object) -> None:
 
 def test_number_that_json_does_not_have_becomes_null() -> None:
     message = actuator_state_t()
-    message.pressure = [float("nan"), float("inf"), 1.0, *[0.0] * 5]
-    assert to_json(message)["pressure"][:3] == [None, None, 1.0]
+    message.measured = [float("nan"), float("inf"), 1.0, *[0.0] * 5]
+    assert to_json(message)["measured"][:3] == [None, None, 1.0]
 
 
 def test_unknown_format_is_refused_with_the_nearest(recorded: Recorded, run: Run) -> None:

@@ -20,7 +20,7 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("ACTUATOR_STATE.pressure[2]", "Pa"),
+        ("ACTUATOR_STATE.measured[2]", "Pa"),
         ("TRUTH_ROBOT.joint_angle[0:3]", "rad"),
         ("TRUTH_ROBOT.joint_velocity", "rad/s"),
         ("TRUTH_BALL.true_ball_velocity[-1]", "m/s"),

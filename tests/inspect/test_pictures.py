@@ -15,7 +15,8 @@ from command_line import Run
 from recorded_trials import Recorded
 from requirements import needs
 
-from imolo.contracts.registry import describe_robot
+from imolo.config.loading import known_body
+from imolo.contracts.trial import EventName
 from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, short_names
 from imolo.inspect.series import read_series
@@ -33,7 +34,7 @@ from imolo_msgs import mocap_frame_t, plan_t, trial_event_t, truth_robot_t
 
 def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
     logs = [recorded.first, recorded.second]
-    selectors = [parse_selector("ACTUATOR_STATE.pressure[0:3]"), parse_selector("PLAN.theta[1]")]
+    selectors = [parse_selector("ACTUATOR_STATE.measured[0:3]"), parse_selector("PLAN.theta[1]")]
     pressures, theta = draw_fields(logs, selectors).axes
     assert (len(pressures.lines), len(theta.lines)) == (6, 2)
     assert (pressures.get_ylabel(), theta.get_ylabel(), theta.get_xlabel()) == ("[Pa]", "[s]", "time [s]")
@@ -251,12 +252,14 @@ def test_live_session_shows_what_came_last() -> None:
     assert session.robot == "liberobot"
 
 
-def test_backend_tells_what_its_robot_looks_like() -> None:
-    robot = describe_robot("liberobot")
+def test_plug_in_tells_what_its_robot_looks_like(recorded: Recorded) -> None:
+    robot = known_body("liberobot")
     assert robot is not None
     assert robot.urdf.is_file()
-    assert len(robot.joint_names) == len(truth_robot_t().joint_angle)
-    assert describe_robot("atlas") is None
+    truth = read_log(recorded.first).messages[channels.TRUTH_ROBOT][0]
+    assert len(robot.joint_names) == len(truth.joint_angle)
+    assert len(robot.effectors) == len(truth.effector_position)
+    assert known_body("atlas") is None
 
 
 @pytest.mark.parametrize("arguments", [["--html", "x.html"], ["gone.lcmlog"]])

@@ -16,7 +16,7 @@ from imolo.inspect.series import Series, read_series
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log_file import LogEvent, read_events
-from imolo_msgs import marker_t, mocap_frame_t, truth_ball_t, actuator_state_t
+from imolo_msgs import actuator_state_t, marker_t, mocap_frame_t, truth_ball_t
 
 
 def changed(events: list[LogEvent], channel: str, index: int, field: str, element: int, by: float) -> list[LogEvent]:
@@ -98,7 +98,7 @@ def test_long_messages_of_others_are_compared_and_shown_where_they_part(tmp_path
 
 @pytest.mark.parametrize(
     ("channel", "field", "element"),
-    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "pressure", 7), ("PLAN", "target_position", 1)],
+    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "measured", 7), ("PLAN", "target_position", 1)],
 )
 def test_diff_names_the_message_field_and_time_that_were_changed(
     recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int

@@ -16,8 +16,10 @@ simulation: {timestep: 5.0e-4}
 campaign: {learning_throws: 4}
 """
 GRID = TableGrid(
-    t_w=GridAxis(start=0.21, stop=0.41, step=0.01),
-    k=GridAxis(start=-1.0, stop=1.0, step=0.05),
+    parameters={
+        "t_w": GridAxis(start=0.21, stop=0.41, step=0.01),
+        "k": GridAxis(start=-1.0, stop=1.0, step=0.05),
+    },
     time_since_swing=GridAxis(start=0.14, stop=0.21, step=0.01),
     spacing=0.02,
     time_tolerance=0.02,

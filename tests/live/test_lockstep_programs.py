@@ -31,7 +31,7 @@ def assert_same_bytes(
         throw = there.throw(balls)
         frames = 0
         for index in range(balls):
-            backend.wait_for(rf"ball {index}: (hit|ball_landed|the ball)")
+            backend.wait_for(rf"ball {index}: (touch|ball_landed|the ball)")
             assert there.log(index).read_bytes() == in_one_process(learned, folder / "log", index)
             frames += len(read_log(there.log(index)).messages[channels.MOCAP])
         assert throw.wait() == 0

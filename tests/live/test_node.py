@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import pytest
 
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import config_for
 from imolo.errors import BusError
 from imolo.live import node as node_module
 from imolo.live.identity import Identity, Role, mismatch, protocol, shared_sections
 from imolo.live.node import ECHO, SILENCE, Node
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.motion import MotionTemplate
 
-CONFIG = ExperimentConfig(backend=BackendConfig(name="mujoco"))
+CONFIG = config_for("mujoco")
 BACKEND = Identity(Role.BACKEND, "liberobot", "realtime", shared_sections(CONFIG))
 PLANNER = Identity(Role.PLANNER, "liberobot", "", shared_sections(CONFIG))
 
@@ -77,14 +77,14 @@ def test_planner_that_leaves_is_gone_at_once(network: Network) -> None:
 
 
 def motion(**changes: object) -> ExperimentConfig:
-    return CONFIG.model_copy(update={"motion": MotionTemplate().model_copy(update=changes)})
+    return CONFIG.model_copy(update={"motion": CONFIG.motion.model_copy(update=changes)})
 
 
 @pytest.mark.parametrize(
     ("planner", "why"),
     [
         (replace(PLANNER, robot="atlas"), "it is for robot"),
-        (replace(PLANNER, sections=shared_sections(motion(k_range=(-0.5, 0.5)))), "its config differs in motion"),
+        (replace(PLANNER, sections=shared_sections(motion(target_range=(0.0, 0.8e6)))), "its config differs in motion"),
         (replace(PLANNER, sections={}), "its config differs in motion, robot"),
     ],
 )
@@ -122,14 +122,12 @@ def test_heartbeat_that_cannot_be_read_is_told_once(network: Network) -> None:
 
 
 def test_config_of_backend_and_surroundings_may_differ() -> None:
-    other = ExperimentConfig.model_validate(
-        {"backend": {"name": "dart"}, "seed": 7, "bus": "memq://", "simulation": {"timestep": 5e-4}}
-    )
+    other = config_for("dart", seed=7, bus="memq://", simulation={"timestep": 5e-4})
     assert shared_sections(other) == shared_sections(CONFIG)
 
 
 def test_motion_of_the_table_is_what_counts() -> None:
-    changed = motion(k_range=(-0.5, 0.5))
+    changed = motion(target_range=(0.0, 0.8e6))
     assert shared_sections(CONFIG, changed.motion) == shared_sections(changed)
     assert shared_sections(changed) != shared_sections(CONFIG)
 

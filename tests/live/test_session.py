@@ -66,15 +66,15 @@ def test_robot_vents_when_its_planner_is_killed_in_motion(realtime: Lab) -> None
     backend.wait_for(r"ball 0 is void, to be repeated: the planner has not answered")
     void = read_log(realtime.folder / "void/hit_000_0.lcmlog")
     vent = void.messages[channels.ACTUATOR_COMMAND][-1]
-    assert np.array_equal(vent.target_pressure, np.zeros((1, 8)))
+    assert np.array_equal(vent.target, np.zeros((1, 8)))
     assert vent.switch_utime[0] == vent.utime
     # The muscle that swings the arm was full; air needs a few 10 ms to leave.
-    pressure = {message.utime: max(message.pressure) for message in void.messages[channels.ACTUATOR_STATE]}
+    pressure = {message.utime: max(message.measured) for message in void.messages[channels.ACTUATOR_STATE]}
     before = max(value for utime, value in pressure.items() if utime <= vent.utime)
     assert pressure[max(pressure)] < 0.5 * before
     successor = realtime.planner()
     backend.wait_for(rf"planner {successor.pid} is here")
-    backend.wait_for(r"ball 0: (hit|ball_landed)")
+    backend.wait_for(r"ball 0: (touch|ball_landed)")
     assert throw.wait() == 0
 
 
@@ -93,7 +93,7 @@ def test_planner_that_was_restarted_voids_the_trial_in_lock_step(lockstep: Lab) 
     )
     assert end.detail.endswith("; void: the planner was lost")
     lockstep.planner()
-    backend.wait_for(r"ball 0: (hit|ball_landed)")
+    backend.wait_for(r"ball 0: (touch|ball_landed)")
     assert throw.wait() == 0
 
 
@@ -174,7 +174,7 @@ def test_nonsense_on_the_bus_moves_nothing_and_stops_nobody(realtime: Lab) -> No
         for channel in CHANNELS:
             bus.publish_raw(channel, b"nonsense")
             bus.publish_raw(channel, bytes(200))
-    backend.wait_for(r"ball 0: (hit|ball_landed)")
+    backend.wait_for(r"ball 0: (touch|ball_landed)")
     assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
     assert re.search(r"[1-9]\d* unreadable", planner.lines[-1])
     assert read_log(realtime.log(0)).messages[channels.ACTUATOR_COMMAND]
@@ -193,7 +193,7 @@ def kill_at_random(lab: Lab, kills: int, rng: random.Random) -> None:
     programs = {role: start() for role, start in starters.items()}
     throw = lab.throw(MANY)
     for number in range(kills):
-        throw.wait_for(r"ball \d+: (hit|ball_landed)")
+        throw.wait_for(r"ball \d+: (touch|ball_landed)")
         role = list(starters)[number % 3] if kills <= 3 else rng.choice(list(starters))
         # A random moment of a trial of about a second.
         time.sleep(rng.uniform(0.0, 1.2))
@@ -209,7 +209,7 @@ def kill_at_random(lab: Lab, kills: int, rng: random.Random) -> None:
         for other, program in programs.items():
             if other != role:
                 program.wait_for(rf"{role} {returned.pid} is here")
-    throw.wait_for(r"ball \d+: (hit|ball_landed)")
+    throw.wait_for(r"ball \d+: (touch|ball_landed)")
     assert throw.process.poll() is None
     for role in ("planner", "backend", "recorder"):
         assert programs[role].stop() == 0

@@ -14,14 +14,14 @@ from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder, read_log
 from imolo.messaging.log_file import HEADER, SYNC, Damage, LogEvent, LogReader, read_events
-from imolo_msgs import mocap_frame_t, actuator_state_t
+from imolo_msgs import actuator_state_t, mocap_frame_t
 
 COUNT = 12
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return the bytes of a log of `COUNT` pressures and frames in turn, one every 10 ms."""
+    """Return the bytes of a log of `COUNT` sensor readings and frames in turn, one every 10 ms."""
     path = tmp_path_factory.mktemp("whole") / "log"
     utime, bus = 0, Bus()
     with Recorder(bus, path, lambda: utime):

@@ -134,6 +134,20 @@ def test_channel_of_another_type_names_file_and_event(tmp_path: Path) -> None:
         read_log(path)
 
 
+# Fingerprint of the trial_event_t of imolo 0.1, and a message with nothing in it.
+OLDER_EVENT = bytes.fromhex("85d8afedc33c97b7") + bytes(80)
+
+
+@pytest.mark.parametrize("older", [("VALVE_COMMAND", b""), ("VALVE_PRESSURE", b""), (channels.TRIAL, OLDER_EVENT)])
+def test_log_of_imolo_0_1_is_refused_in_a_line_that_says_what_to_do(tmp_path: Path, older: tuple[str, bytes]) -> None:
+    path = write(tmp_path / "log", (channels.MOCAP, mocap_frame_t().encode()), older)
+    with pytest.raises(BusError) as caught:
+        read_log(path)
+    assert str(caught.value) == (
+        f"{path} was recorded before robots were plug-ins; read it with imolo 0.1, or record it again"
+    )
+
+
 def test_shortened_message_names_file_and_event(tmp_path: Path) -> None:
     path = write(tmp_path / "log", (channels.MOCAP, mocap_frame_t().encode()[:-1]))
     with pytest.raises(BusError, match="event 0 on MOCAP"):

@@ -1,18 +1,16 @@
 """The plant gives its closed forms, whatever its parameters, and the checks of it see what is wrong."""
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
+from liberobot import BODY
 from numpy.typing import NDArray
 
-from imolo.config.simulation import BallConfig, PneumaticsConfig
 from imolo.conformance import Verdict, run_check
 from imolo_backends.actuators.checks import SCENES, SUBSTEP, PneumaticDrive, pneumatic_checks
-from imolo_backends.actuators.plant import Plant
-from imolo_backends.actuators.plant_kernel import VALVE_OF_CHAMBER
-from imolo_robots.liberobot.body import JOINT_LIMITS
+from imolo_backends.actuators.pneumatics import AirConfig, Pneumatics
+from imolo_robots.liberobot.air import LiberobotAir
 
 OTHER = {"supply_pressure": 0.6e6, "tube_length": 1.2, "exhaust_conductance": 2e-8, "heat_in": 1.3, "leg_bore": 0.032}
 
@@ -20,14 +18,10 @@ OTHER = {"supply_pressure": 0.6e6, "tube_length": 1.2, "exhaust_conductance": 2e
 def drive(wrong: dict[str, Any] | None = None, **values: Any) -> PneumaticDrive:
     """Return Liberobot's drive with some parameters, and a plant that has others of them."""
 
-    def make(config: PneumaticsConfig, angle: NDArray[np.float64]) -> Plant:
-        config = config.model_copy(update=wrong or {})
-        return Plant(config, BallConfig(), SUBSTEP, JOINT_LIMITS, angle)
+    def make(config: AirConfig, angle: NDArray[np.float64]) -> Pneumatics:
+        return Pneumatics(config.model_copy(update=wrong or {}), SUBSTEP, BODY.joint_limits, angle)
 
-    config = PneumaticsConfig(**values)
-    leg = math.pi / 4 * config.leg_bore**2 * config.moment_arm * config.leg_reduction
-    arm = math.pi / 4 * config.arm_bore**2 * config.moment_arm
-    return PneumaticDrive(make, config, JOINT_LIMITS, np.array([leg] * 6 + [arm] * 2), VALVE_OF_CHAMBER)
+    return PneumaticDrive(LiberobotAir(**values), BODY.joint_limits, make)
 
 
 def failed(name: str, checked: PneumaticDrive) -> list[str]:

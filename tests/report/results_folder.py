@@ -9,7 +9,8 @@ import yaml
 
 from imolo.campaigns.comparison import Comparison, Timing, Timings
 from imolo.campaigns.results import ResultsFolder
-from imolo.config.experiment import ExperimentConfig
+from imolo.config.experiment import PluginConfig
+from imolo.config.loading import config_for
 from imolo.messaging import channels
 from imolo.trials.metrics import Statistic, TrialResult, judge_campaign
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, truth_ball_t, truth_robot_t
@@ -25,7 +26,8 @@ def make_results(path: Path, backends: Iterable[str] = ("alpha", "beta"), outcom
     results: dict[str, Any] = {}
     digests = {}
     for backend in backends:
-        config = ExperimentConfig.model_validate({"backend": {"name": backend}})
+        # The page needs no backend, so theirs is none that is installed.
+        config = config_for("mujoco").model_copy(update={"backend": PluginConfig(name=backend)})
         digests[backend] = config.digest()
         (path / "configs").mkdir(exist_ok=True)
         (path / "configs" / f"{backend}.yaml").write_text(yaml.safe_dump(config.model_dump(mode="json")))
@@ -64,7 +66,7 @@ def _trial(ball: int, outcome: str) -> TrialResult:
     )
 
 
-def write_log(path: Path, ball: int, truth: bool = True, hitting_hand: int = 1) -> None:
+def write_log(path: Path, ball: int, truth: bool = True, effector: int = 0) -> None:
     """Write a trial in which the trunk rises 1 m, the ball comes 5 m nearer, and a plan is made at half the time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     log = lcm.EventLog(str(path), "w", overwrite=True)
@@ -73,15 +75,16 @@ def write_log(path: Path, ball: int, truth: bool = True, hitting_hand: int = 1) 
         if truth:
             robot = truth_robot_t()
             robot.utime, robot.base_position, robot.base_quaternion = utime, (0.0, 0.0, share), (1.0, 0.0, 0.0, 0.0)
-            robot.right_hand_position, robot.left_hand_position = (0.0, -0.16, share), (0.0, 0.16, share)
+            robot.effector_position = [(0.0, -0.16, share), (0.0, 0.16, share)]
+            robot.num_effectors = len(robot.effector_position)
             flight = truth_ball_t()
             flight.utime, flight.true_ball_position = utime, (5.0 - 5.0 * share, 0.0, 1.5)
             log.write_event(utime, channels.TRUTH_ROBOT, robot.encode())
             log.write_event(utime, channels.TRUTH_BALL, flight.encode())
         if utime % 8000 == 0:
             log.write_event(utime, channels.MOCAP, _frame(utime, share).encode())
-    log.write_event(END // 2, channels.PLAN, _plan(END // 2, hitting_hand).encode())
-    for name, utime in (("start", 0), ("throw", 100_000), ("hit", 900_000), ("end", END)):
+    log.write_event(END // 2, channels.PLAN, _plan(END // 2, effector).encode())
+    for name, utime in (("start", 0), ("throw", 100_000), ("touch", 900_000), ("end", END)):
         event = trial_event_t()
         event.utime, event.event, event.robot, event.trial = utime, name, "liberobot", ball
         log.write_event(utime, channels.TRIAL, event.encode())
@@ -103,10 +106,10 @@ def _frame(utime: int, share: float) -> mocap_frame_t:
     return frame
 
 
-def _plan(utime: int, hitting_hand: int) -> plan_t:
+def _plan(utime: int, effector: int) -> plan_t:
     plan = plan_t()
     plan.utime, plan.state, plan.plan_onset_utime, plan.target_position = utime, plan_t.STARTED, utime, (1.0, -0.2, 1.6)
-    plan.prediction_step, plan.hitting_hand = 0.01, hitting_hand
+    plan.prediction_step, plan.effector = 0.01, effector
     # The last of these are below the floor.
     plan.predicted_position = [(2.0, 0.0, 1.5 - 0.02 * i) for i in range(90)]
     plan.num_predictions = len(plan.predicted_position)

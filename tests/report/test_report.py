@@ -5,9 +5,11 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
+import yaml
 from results_folder import BALLS, METHODS, make_results
 
 from imolo.campaigns.comparison import Comparison
@@ -164,6 +166,10 @@ def _cut(name: str) -> Callable[[Path], object]:
     return lambda path: (path / name).write_text((path / name).read_text()[:200])
 
 
+def _change(name: str, how: Callable[[dict[str, Any]], dict[str, Any]]) -> Callable[[Path], object]:
+    return lambda path: (path / name).write_text(yaml.safe_dump(how(yaml.safe_load((path / name).read_text()))))
+
+
 @pytest.mark.parametrize(
     ("damage", "named"),
     [
@@ -173,8 +179,19 @@ def _cut(name: str) -> Callable[[Path], object]:
         (_cut("timing.json"), ("timing.json", "imolo compare")),
         (_remove("configs/beta.yaml"), ("beta.yaml", "missing", "imolo compare")),
         (_write("configs/beta.yaml", "a: [b"), ("beta.yaml", "imolo compare")),
-        (_write("configs/beta.yaml", "seeed: 1"), ("beta.yaml", "imolo compare")),
-        (_write("configs/beta.yaml", "{backend: {name: beta}, methods: {other: {}}}"), ("beta.yaml", "'paper'")),
+        (_write("configs/beta.yaml", "seed: 1"), ("beta.yaml", "imolo compare")),
+        (
+            _change("configs/beta.yaml", lambda content: content | {"seeed": 1}),
+            ("beta.yaml", "'seeed'", "imolo compare"),
+        ),
+        (
+            _change("configs/beta.yaml", lambda content: {key: content[key] for key in content if key != "task"}),
+            ("beta.yaml", "before robots were plug-ins", "imolo 0.1", "imolo compare"),
+        ),
+        (
+            _change("configs/beta.yaml", lambda content: content | {"methods": {"other": content["methods"]["paper"]}}),
+            ("beta.yaml", "'paper'"),
+        ),
         (_write("ball.json", "{}"), ("ball.json", "is damaged")),
         (_write("attribution.json", "nonsense"), ("attribution.json", "is damaged")),
         (_write("interpolation.json", "{"), ("interpolation.json", "is damaged")),

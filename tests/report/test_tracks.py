@@ -1,5 +1,6 @@
 """Motion in a page: thinned, quantised, and taken from the markers where there is no truth."""
 
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from results_folder import END, write_log
 
-from imolo.config.experiment import RobotConfig
-from imolo.contracts.backend import RobotDescription
-from imolo.contracts.registry import describe_robot
+from imolo.config.loading import body_of, config_for
 from imolo.contracts.urdf import read_urdf
 from imolo.errors import ResultsError
 from imolo.messaging.log import read_log
 from imolo.report.robot_shapes import robot_shapes
 from imolo.report.tracks import PATH_STEP, RATE, STEPS, pack, trial_tracks, unpack
 
-ROBOT = RobotConfig()
+ROBOT = body_of(config_for("mujoco").robot)
 
 # Below this a step of the largest number over 32767 is no normal number any more.
 NUMBERS = st.floats(-1e3, 1e3).filter(lambda value: value == 0.0 or abs(value) > 1e-290)
@@ -69,29 +68,29 @@ def test_log_without_truth_shows_its_markers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("truth", [True, False])
-@pytest.mark.parametrize(("hitting_hand", "y"), [(1, -0.16), (-1, 0.16)])
-def test_hand_is_the_one_that_was_to_hit(tmp_path: Path, truth: bool, hitting_hand: int, y: float) -> None:
-    write_log(tmp_path / "trial.lcmlog", 0, truth=truth, hitting_hand=hitting_hand)
+@pytest.mark.parametrize(("effector", "y"), [(0, -0.16), (1, 0.16)])
+def test_hand_is_the_one_that_was_to_hit(tmp_path: Path, truth: bool, effector: int, y: float) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0, truth=truth, effector=effector)
     hand = trial_tracks(read_log(tmp_path / "trial.lcmlog"), ROBOT)["hand"]["position"]
     assert np.all(np.abs(unpack(hand)[:, 1] - y) <= hand["step"])
 
 
 def test_shapes_are_those_of_the_urdf_with_parents_first() -> None:
-    description = describe_robot("liberobot")
-    assert isinstance(description, RobotDescription)
-    links = robot_shapes(description)["links"]
-    model = read_urdf(description.urdf)
+    links = robot_shapes(ROBOT)["links"]
+    model = read_urdf(ROBOT.urdf)
     assert len(links) == len(model.links)
     assert all(link["parent"] < number for number, link in enumerate(links))
     joints = {link["angle"]: link for link in links[1:]}
-    for number, name in enumerate(description.joint_names):
+    for number, name in enumerate(ROBOT.joint_names):
         joint = model.joints[name]
         assert joints[number]["at"] == joint.position.tolist()
         assert joints[number]["axis"] == joint.axis.tolist()
-    assert sum(len(link["shapes"]) for link in links) == description.urdf.read_text().count("<visual>")
+    assert sum(len(link["shapes"]) for link in links) == ROBOT.urdf.read_text().count("<visual>")
 
 
 def test_broken_urdf_is_named(tmp_path: Path) -> None:
-    (tmp_path / "robot.urdf").write_text("<robot>")
+    robot = copy(ROBOT)
+    object.__setattr__(robot, "urdf", tmp_path / "robot.urdf")  # which was whole when the body was made of it
+    robot.urdf.write_text("<robot>")
     with pytest.raises(ResultsError, match=r"robot\.urdf"):
-        robot_shapes(RobotDescription(name="robot", urdf=tmp_path / "robot.urdf", joint_names=()))
+        robot_shapes(robot)

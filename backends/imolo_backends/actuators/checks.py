@@ -4,7 +4,7 @@ Reference: ISO 6358 for flows through valves and tubes, Richer & Hurmuzlu 2000 f
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -40,10 +40,13 @@ class PneumaticDrive:
     Attributes:
         config: The parameters; the checks change some of them.
         joint_limits: Lowest and highest angle [rad], shape (J, 2).
+        make: Makes the plant from parameters, with steps of `SUBSTEP`, its joints at these angles [rad]; the one of
+            `pneumatics.py` if not given.
     """
 
     config: AirConfig
     joint_limits: Array
+    make: Callable[[AirConfig, Array], Pneumatics] | None = None
 
     @cached_property
     def sweep(self) -> Array:
@@ -76,7 +79,8 @@ class Air:
     def __init__(self, drive: PneumaticDrive, config: AirConfig) -> None:
         self.config = config
         self.drive = drive
-        self.plant = Pneumatics(config, SUBSTEP, drive.joint_limits, drive.middle)
+        make = drive.make or (lambda config, angle: Pneumatics(config, SUBSTEP, drive.joint_limits, angle))
+        self.plant = make(config, drive.middle)
         self._still = np.zeros(len(drive.sweep))
 
     def hold(self, duration: float, angle: Array | None = None) -> None:

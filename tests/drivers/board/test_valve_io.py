@@ -20,6 +20,7 @@ from imolo.command_line.main import app
 from imolo.errors import BackendError, MissingToolError
 from imolo_drivers.board.valve_io import IIO_DEVICES, ConverterConfig, IioConfig, IioValves, SimulatedValves, _code
 
+NUM_VALVES = 8  # of the default robot
 FULL_SCALE = 1.0e6  # [Pa]
 CLONE_NEWNS = 0x20000
 DAC = ConverterConfig(device="some-dac", full_scale=FULL_SCALE, channels=tuple(reversed(range(NUM_VALVES))))
@@ -154,8 +155,6 @@ def test_command_vents_what_a_board_that_died_has_left(tmp_path: Path) -> None:
         ("import ctypes; ctypes.CDLL(None).iio_get_backends_count", "apt-get install libiio0"),
     ],
 )
-
-NUM_VALVES = 8  # of the default robot
 def test_missing_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrapper: str, remedy: str) -> None:
     (tmp_path / "iio.py").write_text(wrapper)
     monkeypatch.syspath_prepend(tmp_path)

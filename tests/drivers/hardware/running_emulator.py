@@ -8,6 +8,7 @@ from typing import Any
 import played_trials as trials
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import make_config
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.calibration import Calibration
@@ -37,7 +38,7 @@ class RunningEmulator:
         host, port = self.robot.board.address
         cameras = {"command_port": self.robot.motive.port, "silence_limit": 5.0}
         backend = {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **PATIENT, **options}
-        return ExperimentConfig.model_validate({"backend": backend})
+        return make_config({"backend": backend})
 
     def stop(self) -> None:
         self._stop.set()

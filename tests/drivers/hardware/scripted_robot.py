@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import backend_options, config_for, make_config
+from imolo.contracts.planner import Controller
 from imolo.contracts.registry import BACKENDS
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Log, read_log
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.motion import Theta
 from imolo.trials.trainer import MotionPlayer
-from imolo.trials.trial import Controller, run_trial
+from imolo.trials.trial import run_trial
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.server import BoardServer, monotonic_utime
 from imolo_drivers.board.valve_io import SimulatedValves
@@ -35,7 +37,7 @@ from imolo_drivers.natnet.server import NatNetServer
 from imolo_msgs import board_trial_t
 
 PATIENCE = 10.0  # [s]
-THETA = Theta(0.5, 0.25)
+THETA: Theta = (0.5, 0.25)
 RATE = 120.0  # [Hz]
 NAMES = (
     *("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle"),
@@ -141,9 +143,7 @@ def config(robot: Any, **options: Any) -> ExperimentConfig:
     """Return a config of the hardware on the ports of a scripted robot."""
     host, port = robot.server.address
     cameras = {"command_port": robot.motive.port, **options.pop("cameras", {})}
-    return ExperimentConfig.model_validate(
-        {"backend": {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **options}}
-    )
+    return make_config({"backend": {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **options}})
 
 
 def play(
@@ -159,7 +159,7 @@ def play(
 
 
 def backend(chosen: ExperimentConfig) -> Any:
-    return BACKENDS.load("hardware").create(chosen, chosen.backend_options())
+    return BACKENDS.load("hardware").create(chosen, backend_options(chosen))
 
 
 def memory_bus() -> Bus:
@@ -172,7 +172,7 @@ def _definitions() -> ModelDefinitions:
 
 
 def player() -> MotionPlayer:
-    return MotionPlayer(MotionTemplate(), THETA)
+    return MotionPlayer(config_for("hardware").motion, THETA)
 
 
 def events(log: Log) -> list[str]:

@@ -11,23 +11,24 @@ import pytest
 from requirements import AVAILABLE
 from running_emulator import PATIENCE, RunningEmulator, emulator
 
-from imolo.config.experiment import BackendConfig, ExperimentConfig
+from imolo.config.loading import config_for
+from imolo.contracts.planner import Controller
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BackendError
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import Log, read_log
-from imolo.method.motion import MotionTemplate, Theta
+from imolo.method.motion import Theta
 from imolo.trials.recordings import hand_samples
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
-from imolo.trials.trial import Bystander, Controller, run_trial
+from imolo.trials.trial import Bystander, run_trial
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.config import NatNetServerConfig
 
 SIMULATION_ONLY = {channels.TRUTH_ROBOT, channels.TRUTH_BALL}
-THETA = Theta(0.5, 0.25)
-DURATION = START_MARGIN + THETA.t_w + 0.3  # [s] of a training trial
+THETA: Theta = (0.5, 0.25)
+DURATION = START_MARGIN + THETA[1] + 0.3  # [s] of a training trial, of which the swing starts at t_w
 
 
 def play(
@@ -45,7 +46,8 @@ def training(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     """Return the same motion through the emulator, and simulated in this process."""
     folder = tmp_path_factory.mktemp(request.param)
     with emulator(request.param) as running:
-        log = play(running, folder / "robot", TrialKind.TRAINING, MotionPlayer(MotionTemplate(), THETA), DURATION)
+        player = MotionPlayer(running.config().motion, THETA)
+        log = play(running, folder / "robot", TrialKind.TRAINING, player, DURATION)
     return log, trials.play_motion(trials.config(request.param), folder / "simulated", THETA, 0.3)
 
 
@@ -88,10 +90,10 @@ def test_pressures_and_frames_come_no_faster_than_their_rates(training: tuple[Lo
 
 
 def test_motion_can_be_learned_from_the_robot(training: tuple[Log, Log]) -> None:
-    config = ExperimentConfig(backend=BackendConfig(name="mujoco"))
-    samples = hand_samples(training[0], config.robot, config.training)
+    config = config_for("mujoco")
+    samples = hand_samples(training[0], config)
     assert np.isfinite(samples.position).all()
-    assert set(map(tuple, samples.theta)) == {tuple(THETA)}
+    assert set(map(tuple, samples.theta)) == {THETA}
 
 
 def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> None:
@@ -113,7 +115,7 @@ def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> Non
 
 
 def test_robot_is_not_emulated_by_a_robot() -> None:
-    config = ExperimentConfig(backend=BackendConfig(name="hardware"))
+    config = config_for("hardware")
     with pytest.raises(BackendError, match="is no engine"):
         EmulatedRobot(config, BoardConfig(), ("127.0.0.1", 0), NatNetServerConfig(command_port=0))
 

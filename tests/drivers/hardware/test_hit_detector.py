@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from imolo.ball.tracker import BallTrackerConfig
+from imolo.config.loading import body_of, config_for
 from imolo.contracts.trial import EventName
 from imolo_drivers.hit_detector import BallEvent, HitDetector, HitDetectorConfig
 from imolo_msgs import marker_t, mocap_frame_t
@@ -19,6 +20,7 @@ START = np.array([5.0, -0.16, 1.1])
 GRAVITY, DRAG = 9.81, 0.172  # [m/s²], [1/m] of the foam ball
 NOISE = 0.001  # [m]
 Array = np.ndarray
+LIBEROBOT = body_of(config_for("mujoco").robot)
 Bounce = Callable[[float, Array, Array], Array | None]
 
 
@@ -49,7 +51,7 @@ def watch(
 ) -> dict[str, BallEvent]:
     """Return what a detector tells of a ball, and of an arm that stretches from `arm` [m] along x."""
     chance = np.random.default_rng(1)
-    detector = HitDetector(HitDetectorConfig(), BallTrackerConfig())
+    detector = HitDetector(HitDetectorConfig(), BallTrackerConfig(), LIBEROBOT)
     told: list[BallEvent] = []
     shoulder = np.array([0.0, -0.16, 1.2]) if arm is None else arm
     for number, place in enumerate(places):

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from natnet_capture import frames, recording
 from scipy.spatial.transform import Rotation
 
+from imolo.config.loading import body_of, config_for
 from imolo.errors import CalibrationError, NatNetError
 from imolo_drivers.natnet import messages as m
 from imolo_drivers.natnet.calibration import Z_UP, Calibration, CalibrationLimits, fit
-from imolo_drivers.natnet.config import MarkerLabels
+from imolo_drivers.natnet.config import MarkerLabels, NamedMarkers
 from imolo_drivers.natnet.markers import find_labels, mocap_frame, rest_positions
 from imolo_msgs import marker_t
-from imolo_robots.liberobot.body import MARKERS
 
 KNOWN = {
     "right_hand": (0.1, -0.3, 0.9),
@@ -137,12 +137,20 @@ def test_a_missing_calibration_is_told(tmp_path: Path) -> None:
         Calibration.load(tmp_path / "none.yaml")
 
 
-RACE_QUAD = MarkerLabels(asset="RaceQuad", markers={"Marker1": 6, "Marker3": 7, "Marker5": 10})
-ALL_OF_RACE_QUAD = MarkerLabels(asset="RaceQuad", markers={f"Marker{place}": place for place in range(1, 6)})
+LIBEROBOT = body_of(config_for("mujoco").robot)
+RACE_QUAD = NamedMarkers("RaceQuad", None, {"Marker1": 6, "Marker3": 7, "Marker5": 10})
+ALL_OF_RACE_QUAD = NamedMarkers("RaceQuad", None, {f"Marker{place}": place for place in range(1, 6)})
 
 
 def test_the_labels_of_liberobot_are_those_of_the_simulation() -> None:
-    assert MarkerLabels().markers == {marker.name: marker.marker_id for marker in MARKERS}
+    named = MarkerLabels().of(LIBEROBOT)
+    assert (named.asset, named.model_id) == ("liberobot", None)
+    assert named.markers == {marker.name: marker.marker_id for marker in LIBEROBOT.markers}
+
+
+def test_the_labels_that_a_config_gives_replace_those_of_the_robot() -> None:
+    given = MarkerLabels(asset="RaceQuad", model_id=2, markers={"Marker1": 6})
+    assert given.of(LIBEROBOT) == NamedMarkers("RaceQuad", 2, {"Marker1": 6})
 
 
 def test_labels_are_found_in_the_models_of_the_real_system() -> None:
@@ -170,7 +178,7 @@ SET = m.MarkerSetDefinition("set", ("head", "left"))
 def test_every_kind_of_asset_has_labels(
     asset: str, definitions: tuple[m.Definition, ...], model_id: int | None, expected: tuple[int, int]
 ) -> None:
-    config = MarkerLabels(asset=asset, model_id=model_id, markers={"left": 7})
+    config = NamedMarkers(asset, model_id, {"left": 7})
     assert find_labels(config, m.ModelDefinitions(definitions)) == {expected: 7}
 
 
@@ -184,7 +192,7 @@ def test_every_kind_of_asset_has_labels(
 )
 def test_labels_that_cannot_be_found_are_told(config: MarkerLabels, reason: str) -> None:
     with pytest.raises(NatNetError, match=reason):
-        find_labels(config, recording().definitions)
+        find_labels(config.of(LIBEROBOT), recording().definitions)
 
 
 def test_a_mocap_message_holds_the_seen_markers_in_the_world() -> None:

@@ -1,0 +1,267 @@
+"""Programs that do not belong on the bus: nothing they say moves the robot or ends a program, and they are told of."""
+
+import re
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_table import Learned
+from network import URL
+from programs import PATIENCE, lab
+
+from imolo.config.loading import config_for
+from imolo.contracts.trial import EventName
+from imolo.errors import TrialVoidError
+from imolo.live.identity import Identity, Role, shared_sections
+from imolo.live.lockstep import Asker
+from imolo.live.node import SILENCE, Node
+from imolo.live.planner_program import PlannerProgram
+from imolo.live.program import Console, Stop
+from imolo.live.remote_planner import VENTED, RealtimePlanner
+from imolo.messaging import channels
+from imolo.messaging.bus import Bus
+from imolo.messaging.channels import CHANNELS
+from imolo.messaging.log import read_log
+from imolo_msgs import actuator_command_t, envelope_t, heartbeat_t, mocap_frame_t, step_answer_t, step_request_t
+
+CONFIG = config_for("mujoco")
+BACKEND = Identity(Role.BACKEND, "liberobot", "realtime", shared_sections(CONFIG))
+PLANNER = Identity(Role.PLANNER, "liberobot", "", shared_sections(CONFIG))
+NOISE = struct.pack(">q", 0x1234567890ABCDEF) + bytes(40)  # of a type of somebody else
+STRANGER = 7
+
+
+class Said(Console):
+    """Keeps the lines."""
+
+    def __init__(self) -> None:
+        super().__init__("test")
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+
+class Stage:
+    """The backend's side of a trial in real time, in which the test is planner and stranger."""
+
+    def __init__(self) -> None:
+        self.bus, self.inside, self.console = Bus(), Bus(), Said()
+        self.node = Node(self.bus, BACKEND, self.console.say)
+        self.planner = Node(self.bus, PLANNER, lambda _: None)
+        self.meet()
+        self.trial = RealtimePlanner(CONFIG, self.bus, self.node, Stop(), self.console)
+        self.trial.begin()
+        self.trial.attach(self.inside)
+        self.heard: list[actuator_command_t] = []
+        self.inside.subscribe(channels.ACTUATOR_COMMAND, self.heard.append)
+
+    def meet(self) -> None:
+        self.planner._beat(0.0)
+        self.bus.drain()
+
+    def frame(self, utime: int) -> None:
+        message = mocap_frame_t()
+        message.utime = utime
+        self.inside.publish(channels.MOCAP, message)
+        self.inside.drain()
+
+    def command(self, utime: int, commander: int, sequence: int = 1) -> None:
+        commands = CONFIG.motion.commands(CONFIG.training.motions[0], 100_000)
+        self.bus.publish(channels.ACTUATOR_COMMAND, commands.to_message(utime, sequence, commander))
+
+    def step(self, utime: int) -> None:
+        self.meet()
+        self.trial.after_slice(utime)
+        self.inside.drain()
+
+
+def test_command_of_the_planner_moves_the_robot() -> None:
+    stage = Stage()
+    stage.frame(1000)
+    stage.command(1000, stage.planner.instance)
+    stage.step(1000)
+    assert [message.commander for message in stage.heard] == [stage.planner.instance]
+    assert stage.trial.lost == ""
+
+
+@pytest.mark.parametrize("order", [("planner", "stranger"), ("stranger", "planner"), ("stranger",)])
+@pytest.mark.parametrize("answers", [True, False], ids=["answers the frame", "answers no frame"])
+def test_second_commander_vents_the_robot_and_voids_the_trial(order: tuple[str, ...], answers: bool) -> None:
+    """Also where its command comes at once with one of the planner, of which the newest alone would be followed."""
+    stage = Stage()
+    stage.frame(1000)
+    stage.command(1000, stage.planner.instance)
+    stage.step(1000)
+    stage.frame(9000)
+    for who in order:
+        if who == "planner":
+            stage.command(9000, stage.planner.instance, 2)
+        else:
+            stage.command(9000 if answers else 12_345, STRANGER)
+    stage.step(9000)
+    stage.step(10_000)
+    vent = stage.heard[-1]
+    assert STRANGER not in {message.commander for message in stage.heard}
+    assert np.array_equal(vent.target, [[channel.released for channel in CONFIG.simulation.actuators.channels]])
+    assert vent.switch_utime[0] <= 10_000
+    (line,) = (line for line in stage.console.lines if "commands the robot beside planner" in line)
+    assert "commander 7" in line
+    assert line.endswith("all valves vent")
+    # Nothing is followed any more.
+    stage.command(9000, stage.planner.instance, 3)
+    stage.step(11_000)
+    with pytest.raises(TrialVoidError, match="commander 7 commands the robot beside planner"):
+        stage.step(10_000 + round(VENTED * 1e6))
+    assert stage.heard[-1] is vent
+
+
+def test_stranger_who_commands_at_the_very_end_voids_the_trial_as_well() -> None:
+    stage = Stage()
+    stage.command(0, STRANGER)
+    stage.bus.drain()
+    assert "commander 7" in stage.trial.lost  # which the program looks at when the trial has ended
+
+
+def test_heartbeat_of_another_planner_voids_no_trial() -> None:
+    stage = Stage()
+    stage.bus.publish(channels.HEARTBEAT, heartbeat(stage.planner, 2**62))
+    stage.step(1000)
+    assert stage.trial.lost == ""
+
+
+def heartbeat(node: Node, instance: int) -> heartbeat_t:
+    """Return the heartbeat of a program that is like another one, but for when it was started."""
+    caught: list[heartbeat_t] = []
+    bus, own = Bus(), node.instance
+    bus.subscribe(channels.HEARTBEAT, caught.append)
+    node.instance, node._bus, network = instance, bus, node._bus
+    node._beat(0.0)
+    node.instance, node._bus = own, network
+    bus.drain()
+    return caught[0]
+
+
+def test_answer_of_another_planner_is_not_heard() -> None:
+    bus = Bus()
+    waits = 0
+
+    def watch() -> None:
+        nonlocal waits
+        waits += 1
+        if waits == 2:
+            answer(1, b"right")
+
+    def answer(planner: int, data: bytes) -> None:
+        message, said = step_answer_t(), envelope_t()
+        message.answering_planner, message.answered_backend, message.answered_step = planner, 5, 1
+        said.inner_channel, said.inner_data, said.inner_size = channels.PLAN, data, len(data)
+        message.answers, message.num_answers = [said], 1
+        bus.publish(channels.STEP_ANSWER, message)
+
+    asker = Asker(bus, 5, watch)
+    bus.subscribe_raw(lambda *_: answer(STRANGER, b"wrong") if waits < 2 else None, channels.STEP_REQUEST)
+    bus.publish_raw(channels.STEP_ANSWER, NOISE)
+    assert asker.ask(1, channels.TRIAL, b"", True, False) == [(channels.PLAN, b"right")]
+
+
+class Listener:
+    """A planner that notes what it hears."""
+
+    commander = 0
+
+    def __init__(self) -> None:
+        self.frames: list[int] = []
+
+    def attach(self, bus: Bus) -> None:
+        bus.subscribe(channels.MOCAP, lambda frame: self.frames.append(frame.utime))
+        bus.subscribe(channels.TRIAL, lambda _: None)
+
+    def warm_up(self) -> None:
+        pass
+
+
+def request(backend: int, number: int, channel: str, data: bytes) -> step_request_t:
+    message = step_request_t()
+    message.asking_backend, message.step_number, message.previous_step = backend, number, number - 1
+    message.asked = envelope_t()
+    message.asked.inner_channel, message.asked.inner_data, message.asked.inner_size = channel, data, len(data)
+    return message
+
+
+def test_noise_in_a_request_is_passed_over_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    bus, listener = Bus(), Listener()
+    backend = Node(bus, BACKEND, lambda _: None)
+    PlannerProgram(bus, listener, PLANNER, Said())
+    backend._beat(0.0)
+    frame = mocap_frame_t()
+    frame.utime = 8333
+    asked = [(channels.MOCAP, NOISE), (channels.TRIAL, b""), ("NOBODY", NOISE), (channels.MOCAP, NOISE)]
+    for number, inner in enumerate([*asked, (channels.MOCAP, frame.encode())], start=1):
+        bus.publish_raw(channels.STEP_REQUEST, NOISE)
+        bus.publish(channels.STEP_REQUEST, request(backend.instance, number, *inner))
+        bus.publish(channels.STEP_REQUEST, request(STRANGER, number, *inner))
+    bus.drain()
+    assert listener.frames == [8333]
+    told = sorted(record.message.split()[0] for record in caplog.records)
+    assert told == [channels.MOCAP, channels.STEP_REQUEST, channels.TRIAL]
+
+
+def test_heartbeat_of_another_backend_does_not_part_planner_and_backend() -> None:
+    bus, listener = Bus(), Listener()
+    backend = Node(bus, BACKEND, lambda _: None)
+    PlannerProgram(bus, listener, PLANNER, Said())
+    backend._beat(0.0)
+    bus.publish(channels.HEARTBEAT, heartbeat(backend, 2**62))
+    frame = mocap_frame_t()
+    frame.utime = 8333
+    bus.publish(channels.STEP_REQUEST, request(backend.instance, 1, channels.MOCAP, frame.encode()))
+    bus.drain()
+    assert listener.frames == [8333]
+
+
+@pytest.mark.parametrize("identity", [BACKEND, PLANNER])
+def test_newcomer_gives_way_and_a_program_at_work_does_not(identity: Identity) -> None:
+    bus, said, now = Bus(), [], 0.0
+    node = Node(bus, identity, said.append, lambda: now)
+    early = heartbeat(node, node.instance - 1)
+    for now in np.arange(0.0, SILENCE + 0.3, 0.1).tolist():  # noqa: B007 (the clock reads it)
+        node.tend()
+        bus.drain()
+    for _ in range(3):
+        bus.publish(channels.HEARTBEAT, early)
+        bus.drain()
+    assert sum("has come to this bus; it is passed over" in line for line in said) == 1
+
+
+@pytest.mark.usefixtures("network")
+def test_session_outlives_strangers_and_follows_none_of_them(learned: Learned, tmp_path: Path) -> None:
+    bus = Bus(URL)
+    commands = learned.config.motion.commands(learned.config.training.motions[0], 400_000)
+    with lab(learned.config_path, learned.table_path, tmp_path, "realtime") as there:
+        backend, planner = there.backend(), there.planner()
+        throw = there.throw(1)
+        backend.wait_for(rf"planner {planner.pid} is here")
+        bus.subscribe(channels.MOCAP, lambda frame: bus.publish(*answer(frame)))
+
+        def answer(frame: mocap_frame_t) -> tuple[str, actuator_command_t]:
+            for channel in CHANNELS:
+                bus.publish_raw(channel, NOISE)
+            return channels.ACTUATOR_COMMAND, commands.to_message(frame.utime, 1, STRANGER)
+
+        deadline = time.monotonic() + PATIENCE
+        while not any(re.search(r"ball 0( is void|: )", line) for line in backend.lines):
+            assert time.monotonic() < deadline, "the first trial does not end"
+            bus.wait(0.05)
+        bus.close()
+        backend.wait_for(r"commander 7 commands the robot beside planner")
+        backend.wait_for(r"ball 0 is void, to be repeated: stop the other program on this bus")
+        backend.wait_for(r"ball 0: (touch|ball_landed)")
+        assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
+    void = read_log(sorted((tmp_path / "void").glob("hit_000_*.lcmlog"))[0])
+    assert STRANGER not in {message.commander for message in void.messages[channels.ACTUATOR_COMMAND]}
+    assert void.messages[channels.TRIAL][-1].event == EventName.END
+    for program in (backend, planner):
+        assert not any("Traceback" in line for line in program.lines)
