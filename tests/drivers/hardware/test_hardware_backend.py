@@ -35,6 +35,8 @@ from imolo.trials.trial import Bystander
 from imolo_drivers.natnet.messages import LabelledMarker
 from imolo_msgs import mocap_frame_t
 
+NUM_VALVES = 8  # of the default robot
+
 Markers = list[LabelledMarker]
 
 
@@ -245,8 +247,6 @@ def test_board_of_another_robot_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "value", "complaint"), [("board", "x:y", "is no address"), ("bord", "x", "'board'")]
 )
-
-NUM_VALVES = 8  # of the default robot
 def test_wrong_options_are_told(option: str, value: str, complaint: str) -> None:
     with scripted_robot() as robot, pytest.raises(ConfigError, match=complaint):
         backend(config(robot, **{option: value}))
