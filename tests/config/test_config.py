@@ -208,7 +208,7 @@ def test_motion_of_another_number_of_channels_is_refused_with_both_numbers(tmp_p
     k = "{name: k, phase: 1, direction: [0, 1], range: [0.0, 1.0]}"
     varied = f"varied: [{k}, {{name: t_w, unit: s, phase: 2}}]"
     motions = "training: {motions: [[0.5, 0.3]]}"
-    with pytest.raises(ConfigError, match="the motion commands 2 channels, the actuators have 8; give every phase 8 targets"):
+    with pytest.raises(ConfigError, match="2 channels, the actuators have 8; give every phase 8 targets"):
         load(tmp_path, f"{GOOD}motion: {{{phases}, {varied}}}\n{motions}\n")
 
 
