@@ -77,7 +77,7 @@ def test_element_that_a_message_does_not_have_is_nan(recorded: Recorded) -> None
 
 def test_silent_channel_is_refused_with_those_that_speak(recorded: Recorded, tmp_path: Path) -> None:
     path = write_events(tmp_path / "log", [event for event in read_events(recorded.first) if event.channel != "PLAN"])
-    with pytest.raises(FieldError, match=r"has no PLAN; it has ACTUATOR_COMMAND, ACTUATOR_STATE, MOCAP"):
+    with pytest.raises(FieldError, match=r"has no PLAN; it has ROBOT, ACTUATOR_COMMAND, ACTUATOR_STATE, MOCAP"):
         read_series(path, [parse_selector("PLAN.state")])
 
 
