@@ -11,8 +11,9 @@ from typing import Any
 
 from imolo.inspect.fields import Path as LeafPath
 from imolo.inspect.fields import Value, leaf_name, leaves
+from imolo.inspect.names import Names
 from imolo.inspect.trials import TrialEvents
-from imolo.messaging.channels import CHANNELS
+from imolo.messaging.channels import CHANNELS, ROBOT
 from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogEvent, LogReader
 
@@ -145,6 +146,11 @@ class _Run:
             event = place if self._reader is None else self._reader.event(place)
             yield event._replace(utime=event.utime - self.zero) if self.zero else event
 
+    def names(self) -> Names:
+        """Return what the elements of its messages are called."""
+        first = next(self.events(ROBOT), None)
+        return Names(None if first is None else decode(ROBOT, first.data))
+
     def pieces(self, event: LogEvent) -> Iterator[bytes]:
         return iter([event.data]) if self._reader is None else self._reader.chunks(event)
 
@@ -152,7 +158,8 @@ class _Run:
 def _compare(first: _Run, second: _Run) -> RunComparison:
     names = [*first.places, *second.places]
     ordered = dict.fromkeys([*(name for name in CHANNELS if name in names), *names])
-    compared = tuple(_compare_channel(name, first, second) for name in ordered)
+    called = first.names()
+    compared = tuple(_compare_channel(name, first, second, called) for name in ordered)
     differences = [channel.first for channel in compared if channel.first is not None]
     same = not differences and first.order == second.order
     return RunComparison(compared, min(differences, key=lambda found: found.utime, default=None), same)
@@ -183,7 +190,7 @@ class _Parting:
                 self.largest, self.largest_path = gap, path
 
 
-def _compare_channel(name: str, first: _Run, second: _Run) -> ChannelComparison:
+def _compare_channel(name: str, first: _Run, second: _Run, names: Names) -> ChannelComparison:
     parting = _Parting()
     difference: Difference | None = None
     equal = 0
@@ -207,9 +214,10 @@ def _compare_channel(name: str, first: _Run, second: _Run) -> ChannelComparison:
         if difference is None:
             # The bytes differ where no number does: -0.0 is 0.0, or something follows the message.
             path, *values = parting.first or (("bytes",), one.data.hex(), other.data.hex())
-            difference = Difference(name, index, one.utime, leaf_name(name, path), (values[0], values[1]))
+            difference = Difference(name, index, one.utime, leaf_name(name, path, names), (values[0], values[1]))
     counts = first.count(name), second.count(name)
-    return ChannelComparison(name, counts, difference, equal, parting.largest, leaf_name(name, parting.largest_path))
+    largest = leaf_name(name, parting.largest_path, names)
+    return ChannelComparison(name, counts, difference, equal, parting.largest, largest)
 
 
 def _first_unequal_byte(first: Iterator[bytes], second: Iterator[bytes]) -> tuple[int, bytes, bytes] | None:

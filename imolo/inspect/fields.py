@@ -9,6 +9,7 @@ from typing import Any
 
 from imolo.errors import FieldError, did_you_mean
 from imolo.inspect.definitions import unit_of
+from imolo.inspect.names import INDICES, Names
 from imolo.messaging.channels import CHANNELS
 
 Value = int | float | str
@@ -35,23 +36,12 @@ def column_name(path: Path) -> str:
     return "_".join(map(str, path))
 
 
-def label(channel: str, field: str, index: tuple[int, ...]) -> str:
-    """Return what follows the name of a field to tell which of its elements is meant.
-
-    Args:
-        channel: Of the message.
-        field: Name of the array, without the names of what it is nested in.
-        index: One number for each dimension of the array, from 0.
-    """
-    return "".join(f"[{number}]" for number in index)
-
-
-def leaf_name(channel: str, path: Path) -> str:
-    """Return what a leaf is called to people, such as `markers[0].marker_position[2]`."""
+def leaf_name(channel: str, path: Path, names: Names = INDICES) -> str:
+    """Return what a leaf is called to people, such as `markers[0].marker_position[2]` or `joint_angle[right_knee]`."""
     parts: list[str] = []
     for is_index, steps in groupby(path, key=lambda step: isinstance(step, int)):
         if is_index:
-            parts[-1] += label(channel, parts[-1], tuple(step for step in steps if isinstance(step, int)))
+            parts[-1] += names.label(channel, parts[-1], tuple(step for step in steps if isinstance(step, int)))
         else:
             parts.extend(str(step) for step in steps)
     return ".".join(parts)
@@ -73,10 +63,10 @@ class Selector:
     steps: tuple[str | int | slice, ...]
     unit: str
 
-    @property
-    def label(self) -> str:
-        """The text with the unit."""
-        return f"{self.text} [{self.unit}]" if self.unit else self.text
+    def unit_in(self, names: Names) -> str:
+        """Return the unit of the .lcm file or, where that has none, the one that a log's robot says."""
+        fields = [step for step in self.steps if isinstance(step, str)]
+        return self.unit or (names.unit(self.channel, fields[-1]) if fields else "")
 
 
 def parse_selector(text: str) -> Selector:

@@ -61,7 +61,8 @@ def _draw_field(axes: Axes, names: Sequence[str], logs: Sequence[Series], select
                 linewidth=1.1,
             )
     axes.set_title(selector.text, loc="left")
-    axes.set_ylabel(f"[{selector.unit}]" if selector.unit else "")
+    unit = logs[0].unit
+    axes.set_ylabel(f"[{unit}]" if unit else "")
     count = len(axes.lines)
     if 1 < count <= MANY * len(logs):
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")

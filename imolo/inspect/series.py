@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from imolo.errors import FieldError
 from imolo.inspect import fields
 from imolo.inspect.fields import Selector, leaf_name, selected
+from imolo.inspect.names import Names
 from imolo.inspect.trials import Heard, Timeline, TrialEvents
 from imolo.messaging.channels import CHANNELS, TRIAL
 from imolo.messaging.log_file import LogReader
@@ -28,11 +29,13 @@ class Series:
         time: Time of the messages since the start of the first trial [s], shape (N,).
         values: Shape (N, K); NaN where a message has no such element, and between two trials.
         labels: What each of the K columns is.
+        unit: Of all values; empty where it is not known.
     """
 
     time: Array
     values: Array
     labels: tuple[str, ...]
+    unit: str = ""
 
 
 def envelope(rows: Array) -> Array:
@@ -77,7 +80,8 @@ def read_series(
         for heard in timeline:
             for collector in collected:
                 collector.add(heard)
-    found = [collector.finish(timeline.origin) for collector in collected]
+    names = Names.of(path)
+    found = [collector.finish(timeline.origin, names) for collector in collected]
     for selector, series in zip(selectors, found, strict=True):
         if required and not len(series.time):
             heard_of = ", ".join(name for name in CHANNELS if name in timeline.events.heard)
@@ -111,11 +115,12 @@ class _Collector:
                 row.append(float(value))
         self._keep(row)
 
-    def finish(self, origin: int) -> Series:
+    def finish(self, origin: int, names: Names) -> Series:
         """Return the series, its time counted from `origin` [µs]."""
         rows = self._array([*self._rows, *self._bucket]).reshape(-1, len(self._columns) + 1)
-        labels = tuple(f"{self._selector.channel}.{leaf_name(self._selector.channel, path)}" for path in self._columns)
-        return Series((rows[:, 0] - origin) * 1e-6, rows[:, 1:], labels)
+        channel = self._selector.channel
+        labels = tuple(f"{channel}.{leaf_name(channel, path, names)}" for path in self._columns)
+        return Series((rows[:, 0] - origin) * 1e-6, rows[:, 1:], labels, self._selector.unit_in(names))
 
     def _keep(self, row: list[float]) -> None:
         self._bucket.append(row)

@@ -1,0 +1,71 @@
+"""Names and units of the elements of messages, as the robot of a log says them: "right knee" instead of [1]."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from imolo.messaging.channels import ROBOT, TRIAL
+from imolo.messaging.log import decode
+from imolo.messaging.log_file import LogReader
+from imolo_msgs import robot_t
+
+# By field: which of its indices has a name, the names in robot_t, and the units there.
+NAMED = {
+    ("ACTUATOR_COMMAND", "target"): (1, "channel_name", "channel_unit"),
+    ("ACTUATOR_STATE", "measured"): (0, "channel_name", "channel_unit"),
+    ("PLAN", "theta"): (0, "parameter_name", "parameter_unit"),
+    ("TRUTH_ROBOT", "joint_angle"): (0, "joint_name", ""),
+    ("TRUTH_ROBOT", "joint_velocity"): (0, "joint_name", ""),
+    ("TRUTH_ROBOT", "effector_position"): (0, "effector_name", ""),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Names:
+    """What the elements of a log are called; indices where the robot is not known.
+
+    Attributes:
+        robot: The log's ROBOT message; None where it has none.
+    """
+
+    robot: robot_t | None = None
+
+    @classmethod
+    def of(cls, path: Path) -> "Names":
+        """Return the names of a log, from the first ROBOT message before a trial has begun.
+
+        Raises:
+            BusError: The log cannot be read.
+        """
+        with LogReader(path, (ROBOT, TRIAL), quiet=True) as reader:
+            for event in reader:
+                if event.channel == ROBOT and (message := decode(ROBOT, event.data)) is not None:
+                    return cls(message)
+                if event.channel == TRIAL:
+                    break
+        return cls()
+
+    def label(self, channel: str, field: str, index: tuple[int, ...]) -> str:
+        """Return what follows the name of a field to tell which of its elements is meant.
+
+        Args:
+            channel: Of the message.
+            field: Name of the array, without the names of what it is nested in.
+            index: One number for each dimension of the array, from 0.
+        """
+        named, names, _ = NAMED.get((channel, field), (-1, "", ""))
+        known = getattr(self.robot, names, ()) if self.robot is not None else ()
+        parts = [
+            known[number] if dimension == named and 0 <= number < len(known) else str(number)
+            for dimension, number in enumerate(index)
+        ]
+        return "".join(f"[{part}]" for part in parts)
+
+    def unit(self, channel: str, field: str) -> str:
+        """Return the unit of all elements of a field, where they have one in common that the robot says; else ""."""
+        _, _, units = NAMED.get((channel, field), (-1, "", ""))
+        known = set(getattr(self.robot, units, ())) if self.robot is not None and units else set()
+        return known.pop() if len(known) == 1 else ""
+
+
+INDICES = Names()
+"""Where no robot is known."""
