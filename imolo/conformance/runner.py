@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -153,7 +153,7 @@ class _Child:
         self._output = Path(name)
         self.connection, theirs = CONTEXT.Pipe()
         # The suite without what it has cached, which does not travel.
-        plain = Suite(suite.label, suite.backend, suite.options)
+        plain = replace(suite)
         self._process: BaseProcess = CONTEXT.Process(target=_serve, args=(theirs, plain, self._output), daemon=True)
         with _interrupts_deferred():
             self._process.start()

@@ -12,7 +12,10 @@ from imolo_backends.actuators.checks import SCENES, SUBSTEP, PneumaticDrive, pne
 from imolo_backends.actuators.pneumatics import AirConfig, Pneumatics
 from imolo_robots.liberobot.air import LiberobotAir
 
-OTHER = {"supply_pressure": 0.6e6, "tube_length": 1.2, "exhaust_conductance": 2e-8, "heat_in": 1.3, "leg_bore": 0.032}
+OTHER = {
+    **{"supply_pressure": 0.6e6, "tube_length": 1.2, "exhaust_conductance": 2e-8, "heat_in": 1.3, "leg_bore": 0.032},
+    **{"temperature": 283.15, "rest_pressure": tuple(1e5 + 1e4 * valve for valve in range(8))},
+}
 
 
 def drive(wrong: dict[str, Any] | None = None, **values: Any) -> PneumaticDrive:

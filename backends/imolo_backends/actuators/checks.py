@@ -18,8 +18,10 @@ from imolo_backends.actuators.pneumatics import (
     ATMOSPHERE,
     GAS_CONSTANT,
     REFERENCE_DENSITY,
+    REFERENCE_TEMPERATURE,
     AirConfig,
     Pneumatics,
+    tube_conductance,
     valves_of_chambers,
 )
 
@@ -67,6 +69,11 @@ class PneumaticDrive:
     def valves(self) -> int:
         """How many valves there are."""
         return len(self.config.rest_pressure)
+
+    @property
+    def empty(self) -> dict[str, Any]:
+        """The parameters that let all valves rest at the atmosphere's pressure."""
+        return {"rest_pressure": (0.0,) * self.valves}
 
     def air(self, **changes: Any) -> "Air":
         """Make a plant with some parameters changed."""
@@ -119,19 +126,39 @@ class Air:
 
         Opening and laminar flow both fall with the error e, so that de/dt = -K e², all isothermal.
         """
+        laminar = self.laminar(self.config.exhaust_conductance)
+        return self.gas_energy * laminar / (self.config.full_opening_error * self.volumes_of_valves())
+
+    def tube_lag(self) -> Array:
+        """Return how late the last of emptying is for the tubes [s], shape (V,).
+
+        Behind a laminar tube g a chamber of volume V_c is late by t_c = V_c / (R T g), so that its pressure is
+        e + t_c K e², and (1 + 2 K e sum(t_c V_c / V)) de/dt = -K e².
+        """
+        tube = self.laminar(tube_conductance(self.config.tube_diameter, self.config.tube_length))  # [kg/(s·Pa)]
+        chambers, _ = self.volumes()
+        weighed = np.bincount(self.drive.valve_of_chamber, chambers.ravel() ** 2, self.drive.valves)
+        return np.asarray(2.0 * weighed / (self.gas_energy * tube * self.volumes_of_valves()))
+
+    def laminar(self, conductance: float) -> float:
+        """Return the mass flow per difference of pressure [kg/(s·Pa)] through a conductance where it is laminar."""
         config = self.config
         x = (config.laminar_ratio - config.critical_ratio) / (1.0 - config.critical_ratio)
-        laminar = config.exhaust_conductance * REFERENCE_DENSITY * math.sqrt(1.0 - x**2) / (1.0 - config.laminar_ratio)
-        return self.gas_energy * laminar / (config.full_opening_error * self.volumes_of_valves())
+        return conductance * self.density * math.sqrt(1.0 - x**2) / (1.0 - config.laminar_ratio)
 
     @property
     def gas_energy(self) -> float:
         """R T [J/kg]."""
         return GAS_CONSTANT * self.config.temperature
 
+    @property
+    def density(self) -> float:
+        """What turns a conductance [m³/(s·Pa)] into a mass flow, at the temperature of the gas [kg/m³], ISO 6358."""
+        return REFERENCE_DENSITY * math.sqrt(REFERENCE_TEMPERATURE / self.config.temperature)
+
     def filled(self, opened: float, ratio: float) -> float:
         """Return the manifold that a valve, open for so long [s], fills to this share of its choked range [m³]."""
-        flow = self.config.supply_conductance * REFERENCE_DENSITY * (self.config.supply_pressure + ATMOSPHERE)
+        flow = self.config.supply_conductance * self.density * (self.config.supply_pressure + ATMOSPHERE)
         reach = ratio * (self.config.critical_ratio * (self.config.supply_pressure + ATMOSPHERE) - ATMOSPHERE)
         return self.config.heat_in * self.gas_energy * flow * opened / reach
 
@@ -157,7 +184,7 @@ def choked_filling(drive: PneumaticDrive) -> Iterator[Measurement]:
     """A tank fills a volume through a choked valve."""
     duration = 0.15
     volume = drive.air().filled(duration, 0.8)
-    air = drive.air(**NO_TUBE, **AT_ONCE, **ENDLESS_TANK, manifold_volume=volume)
+    air = drive.air(**NO_TUBE, **AT_ONCE, **ENDLESS_TANK, **drive.empty, manifold_volume=volume)
     tank = air.plant.tank_pressure + ATMOSPHERE
     air.plant.target[0] = air.config.supply_pressure
     samples = []
@@ -165,7 +192,7 @@ def choked_filling(drive: PneumaticDrive) -> Iterator[Measurement]:
         air.hold(duration / 3)
         samples.append(float(air.plant.measured()[0]))
     # dp/dt = kappa R T C rho p_tank / V while p < b p_tank; Euler's steps are exact.
-    flow = air.config.supply_conductance * REFERENCE_DENSITY * tank  # [kg/s]
+    flow = air.config.supply_conductance * air.density * tank  # [kg/s]
     truth = air.config.heat_in * air.gas_energy * flow / volume * duration
     basis = "linear while p < b p_tank, Euler is exact; the tank loses 1e-12 of its air"
     yield Measurement("pressure", "kPa", KILO * truth, KILO * samples[2], 1e-9 * KILO * truth, basis)
@@ -217,7 +244,7 @@ def commanded_pressure(drive: PneumaticDrive) -> Iterator[Measurement]:
     air.hold(2.0)
     # Near the target the slowest valve, which feeds most, closes in on it exponentially, and its tank is choked.
     config = air.config
-    rate = air.gas_energy * config.supply_conductance * REFERENCE_DENSITY * config.supply_pressure
+    rate = air.gas_energy * config.supply_conductance * air.density * config.supply_pressure
     rate /= air.volumes_of_valves().max() * config.full_opening_error  # [1/s]
     left = KILO * (config.full_opening_error * math.exp(-rate) + ROUNDING * config.supply_pressure)
     basis = "a valve without a leak has no offset; what is left after half of the two seconds, rounding"
@@ -241,9 +268,9 @@ def valve_step(drive: PneumaticDrive) -> Iterator[Measurement]:
     """A valve is opened fully, and fills a volume so large that the flow is choked throughout."""
     steps = round((drive.config.valve_dead_time + 20.0 * drive.config.valve_time_constant) / SUBSTEP)
     volume = drive.air().filled(steps * SUBSTEP, 0.8)
-    air = drive.air(**NO_TUBE, **ENDLESS_TANK, manifold_volume=volume)
+    air = drive.air(**NO_TUBE, **ENDLESS_TANK, **drive.empty, manifold_volume=volume)
     config = air.config
-    flow = config.supply_conductance * REFERENCE_DENSITY * (air.plant.tank_pressure + ATMOSPHERE)  # [kg/s]
+    flow = config.supply_conductance * air.density * (air.plant.tank_pressure + ATMOSPHERE)  # [kg/s]
     slope = config.heat_in * air.gas_energy * flow / volume  # [Pa/s] when it is open
     air.plant.target[0] = config.supply_pressure
     pressure = [float(air.plant.measured()[0])]
@@ -279,7 +306,8 @@ def emptying(drive: PneumaticDrive) -> Iterator[Measurement]:
     start, duration = 0.9 * drive.config.supply_pressure, 0.3
     # Halfway, as the logarithm goes, to where it is choked no more.
     rate = 0.5 * math.log((start + ATMOSPHERE) * drive.config.critical_ratio / ATMOSPHERE) / duration  # [1/s]
-    volume = drive.air().gas_energy * drive.config.exhaust_conductance * REFERENCE_DENSITY / rate
+    one = drive.air()
+    volume = one.gas_energy * one.config.exhaust_conductance * one.density / rate
     off = {}
     for substep in (SUBSTEP, SUBSTEP / 2):
         at_once: dict[str, Any] = {"max_substep": substep, "valve_time_constant": substep, "valve_dead_time": 0.0}
@@ -302,20 +330,21 @@ def emptying(drive: PneumaticDrive) -> Iterator[Measurement]:
     air.plant.target[:-1] = 0.4 * air.config.supply_pressure
     air.hold(0.2)
     air.plant.target[:] = 0.0
-    times = (2.0, 4.0)
-    air.hold(times[0])
+    begin, duration = 2.0, 2.0
+    air.hold(begin)
     before = air.plant.measured()
-    air.hold(times[1] - times[0])
-    # de/dt = -K e² makes 1/e grow by K t; the valve's opening is late by its lag tau, which adds K tau ln(t2/t1).
-    lag = air.config.valve_time_constant * math.log(times[1] / times[0])
-    grown = (1.0 / air.plant.measured() - 1.0 / before) / (times[1] - times[0])
+    air.hold(duration)
+    after = air.plant.measured()
+    # de/dt = -K e² makes 1/e grow by K t. The valve's opening is late by its lag tau, which adds K tau ln(t2/t1), and
+    # the chambers are late by their tubes, which takes away as much for theirs; e falls as 1/t.
+    decay, tau, tubes = air.decay(), air.config.valve_time_constant, air.tube_lag()
     for valve in (0, drive.valves - 1):
-        truth = float(air.decay()[valve]) * (1.0 + lag / (times[1] - times[0])) / KILO
-        measured = float(grown[valve]) / KILO
-        basis = "hyperbolic decay late by tau; half of that for the tubes, which are late as well"
-        yield Measurement(
-            f"decay constant of valve {valve + 1}", "1/(kPa s)", truth, measured, 0.25 * lag * truth, basis
-        )
+        late = (tau - tubes[valve]) * math.log(before[valve] / after[valve])
+        measured = float(1.0 / after[valve] - 1.0 / before[valve]) / duration / KILO
+        truth = float(decay[valve]) * (1.0 + late / duration) / KILO
+        second = (tau + tubes[valve]) ** 2 / begin**2 + SUBSTEP / begin
+        basis = "hyperbolic decay, late by valve and tubes; the second order of that, and a step"
+        yield Measurement(f"decay constant of valve {valve + 1}", "1/(kPa s)", truth, measured, second * truth, basis)
 
 
 SCENES = (

@@ -53,7 +53,7 @@ static void tell(const imolo_msgs_actuator_command_t *command)
     fprintf(stderr, "%" PRId32 " %" PRId64 " %" PRId32, command->command_sequence, command->onset_utime, command->num_phases);
     for (int phase = 0; phase < command->num_phases; phase++) {
         fprintf(stderr, " %" PRId64, command->switch_utime[phase]);
-        for (int channel = 0; channel < command->num_channels; channel++)
+        for (int channel = 0; channel < command->num_targets; channel++)
             fprintf(stderr, " %.17g", command->target[phase][channel]);
     }
     fprintf(stderr, "\n");
