@@ -77,8 +77,15 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes what is a number in YAML 1.1 or here."""
+    """Quotes what is a number in YAML 1.1 or here, and escapes what ends a line but is no newline."""
 
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    style = '"' if set(text) & set("\x85\u2028\u2029") else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
+
+
+_Dumper.add_representer(str, _represent_text)
 
 _Loader.yaml_implicit_resolvers = {}  # none of YAML 1.1
 for _kind, (_pattern, _starts) in _SCALARS.items():

@@ -85,7 +85,7 @@ def motion(**changes: object) -> ExperimentConfig:
     [
         (replace(PLANNER, robot="atlas"), "it is for robot"),
         (replace(PLANNER, sections=shared_sections(motion(target_range=(0.0, 0.8e6)))), "its config differs in motion"),
-        (replace(PLANNER, sections={}), "its config differs in motion, robot"),
+        (replace(PLANNER, sections={"motion": "0", "another": "1"}), "its config differs in motion;"),
     ],
 )
 def test_mismatch_is_told_in_one_line_on_both_sides_and_nobody_works(
@@ -97,9 +97,16 @@ def test_mismatch_is_told_in_one_line_on_both_sides_and_nobody_works(
     (line,) = network.said[Role.BACKEND]
     assert "is refused, nothing will move" in line
     assert why in line
-    if planner.sections:
-        (line,) = network.said[Role.PLANNER]
-        assert "is refused, nothing will move" in line
+    (line,) = network.said[Role.PLANNER]
+    assert "is refused, nothing will move" in line
+
+
+def test_program_in_another_language_states_what_it_knows_and_is_answered() -> None:
+    """It has neither the hash of our message types nor the sections of a config."""
+    for sections in ({}, {"motion": BACKEND.sections["motion"]}, {"another": "1"}):
+        stranger = replace(PLANNER, sections=sections)
+        assert mismatch(BACKEND, stranger, 0) == mismatch(stranger, BACKEND, protocol()) == ""
+    assert "it is for robot" in mismatch(BACKEND, replace(PLANNER, robot="atlas", sections={}), 0)
 
 
 def test_other_message_types_are_refused(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -110,7 +110,7 @@ class BoardClient:
             BackendError: Nobody answers, or the board refuses.
         """
         self.offset, self.state, self.jumped = ClockOffset(), board_state_t(), 0
-        self.announced = False
+        self.announced = self._disarmed = False
         self.refusals: deque[board_refusal_t] = deque(maxlen=100)
         self._clock, self._address, self._secret = clock, address, secret
         self._challenge = board_challenge_t()
@@ -168,8 +168,14 @@ class BoardClient:
         self._send(message)
 
     def disarm(self, person: str) -> None:
-        """Vent and disarm."""
+        """Vent and disarm, and wait until the board has: closed with states unread, a link takes the frame with it.
+
+        Raises:
+            LinkLostError: The link broke, or the board does not answer.
+        """
+        self._disarmed = False
         self._send(make_disarm(person))
+        self._wait_for(lambda: self._disarmed, "that it is disarmed")
 
     def command(self, message: actuator_command_t) -> None:
         """Send commands, their times on the board's clock."""
@@ -234,7 +240,9 @@ class BoardClient:
             self.welcome = message
         elif frame.type is FrameType.TRIAL:
             self.announced = True
-        elif frame.type is not FrameType.ARM:  # a disarming that has been done
+        elif frame.type is FrameType.ARM:  # a disarming that has been done
+            self._disarmed = True
+        else:
             raise self._lost(f"the board sent a frame of type {frame.type.name.lower()}")
 
     def _shake_hands(self, role: ClientRole, name: str, dry_run: bool) -> board_welcome_t:

@@ -1,13 +1,14 @@
 """The settings of the valve board: its channels, its limits, its times."""
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from imolo.config.loading import config_for
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.contracts.registry import default_robot
+from imolo.errors import BackendNotFoundError, ConfigError
 from imolo_drivers.board.valve_io import IioConfig
 
 MAX_CHANNELS = 128  # a state of all of them fits into a frame
@@ -33,17 +34,20 @@ class ChannelConfig(Model):
         return self
 
 
-def channels_of(robot: str) -> list[dict[str, Any]]:
+def channels_of(robot: str) -> tuple[ChannelConfig, ...]:
     """Return the channels of an installed robot as settings of a board.
 
     Raises:
-        BackendNotFoundError: It is not installed.
+        ConfigError: It is not installed.
     """
-    actuators = config_for("hardware", robot={"name": robot}).simulation.actuators
-    return [
-        {"name": one.name[:60], "unit": one.unit, "rest": one.rest, "lowest": min(one.low, 0.0), "highest": one.high}
+    try:
+        actuators = config_for("hardware", robot={"name": robot}).simulation.actuators
+    except BackendNotFoundError as error:
+        raise ConfigError(f"{error}; a board of another robot says its `channels` itself") from error
+    return tuple(
+        ChannelConfig(name=one.name[:60], unit=one.unit, rest=one.rest, lowest=min(one.low, 0.0), highest=one.high)
         for one in actuators.channels
-    ]
+    )
 
 
 class BoardConfig(Model):
@@ -51,12 +55,13 @@ class BoardConfig(Model):
 
     name: str = Field("valve board", max_length=80, description="told to whoever connects")
     robot: str = Field(
-        "",
+        default_factory=default_robot,
         max_length=80,
         description="told to whoever connects, who refuses another robot; the default robot if not given",
     )
     channels: Annotated[tuple[ChannelConfig, ...], Field(min_length=1, max_length=MAX_CHANNELS)] = Field(
-        (), description="in the order of the commands; those of the robot if not given"
+        default_factory=lambda given: channels_of(given["robot"]),
+        description="in the order of the commands; those of the robot, which is to be installed then, if not given",
     )
     secret: Path | None = Field(
         None, description="file of mode 0600 that clients must know; none: the board listens to this machine alone"
@@ -82,14 +87,6 @@ class BoardConfig(Model):
     )
     dry_run: bool = Field(False, description="do everything but move: all targets stay 0")
     iio: IioConfig | None = Field(None, description="the converters; none: simulated valves that follow at once")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _robot_tells_its_channels(cls, values: Any) -> Any:
-        if not isinstance(values, dict) or ("robot" in values and "channels" in values):
-            return values
-        robot = values.get("robot", default_robot())
-        return {"robot": robot, "channels": channels_of(str(robot)) if "channels" not in values else (), **values}
 
     @model_validator(mode="after")
     def _converters_have_a_channel_each(self) -> Self:

@@ -15,9 +15,12 @@ from board_link import PATIENCE, controller, running_board
 from typer.testing import CliRunner
 
 from imolo.command_line.main import app
+from imolo.config.loading import config_for
+from imolo.config.reading import read_model
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
 from imolo_drivers.board.client import BoardClient
+from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.handshake import ClientRole
 from imolo_drivers.board.server import PORT
 from imolo_drivers.commands import BOARD
@@ -113,6 +116,26 @@ def test_board_config_is_checked(tmp_path: Path) -> None:
     path.write_text("watchdogg: 0.1\n")
     result = runner.invoke(app, ["board", str(path)])
     assert "did you mean 'watchdog'" in str(result.exception)
+
+
+def test_board_of_a_robot_that_is_not_installed_says_its_channels(tmp_path: Path) -> None:
+    path = tmp_path / "board.yaml"
+    path.write_text("robot: athlete\n")
+    result = runner.invoke(app, ["board", str(path), "--vent"])
+    assert isinstance(result.exception, ConfigError)
+    assert "unknown robot 'athlete'" in str(result.exception)
+    assert "says its `channels` itself" in str(result.exception)
+    path.write_text("robot: athlete\nchannels: [{name: calf}, {name: thigh, unit: N}]\n")
+    result = runner.invoke(app, ["board", str(path), "--vent"])
+    assert (result.exit_code, result.output) == (0, "valve board: all 2 channels vented\n")
+
+
+def test_board_has_the_channels_of_its_robot(tmp_path: Path) -> None:
+    path = tmp_path / "board.yaml"
+    path.write_text("robot: pneumatic_arm\nwatchdog: 0.2\n")
+    board = read_model(path, BoardConfig, "")
+    channels = config_for("mujoco", robot={"name": "pneumatic_arm"}).simulation.actuators.channels
+    assert [(one.name, one.rest, one.highest) for one in board.channels] == [(c.name, c.rest, c.high) for c in channels]
 
 
 def test_default_address_is_that_of_the_board() -> None:

@@ -240,7 +240,8 @@ def test_no_board_is_told(tmp_path: Path) -> None:
 
 
 def test_board_of_another_robot_is_refused(tmp_path: Path) -> None:
-    with scripted_robot(robot="athlete") as robot, pytest.raises(BackendError, match="moves robot 'athlete'"):
+    board = {"robot": "athlete", "channels": [{"name": f"muscle {number}"} for number in range(NUM_VALVES)]}
+    with scripted_robot(**board) as robot, pytest.raises(BackendError, match="moves robot 'athlete'"):
         play(config(robot), tmp_path / "log", player())
 
 
