@@ -17,8 +17,8 @@ def definition_files() -> list[Path]:
 
 
 @cache
-def field_units() -> dict[tuple[str, str], tuple[str, ...]]:
-    """Return the units in the comment before each field, by type and field; a field without a unit is left out."""
+def field_units() -> dict[tuple[str, str], str]:
+    """Return the unit in the comment before each field, by type and field; a field without a unit is left out."""
     units = {}
     for path in definition_files():
         comment = ""
@@ -27,15 +27,7 @@ def field_units() -> dict[tuple[str, str], tuple[str, ...]]:
                 comment += line
                 continue
             found = FIELD.match(line)
-            if found and (given := tuple(UNIT.findall(comment))):
-                units[path.stem, found[1]] = given
+            if found and (given := UNIT.search(comment)):
+                units[path.stem, found[1]] = given[1]
             comment = ""
     return units
-
-
-def unit_of(type_name: str, field: str, element: int | None = None) -> str:
-    """Return the unit of a field, or of one of its elements where the comment gives several; empty if unknown."""
-    given = field_units().get((type_name, field), ())
-    if len(given) == 1:
-        return given[0]
-    return "" if element is None or element >= len(given) else given[element]

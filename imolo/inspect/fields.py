@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Any
 
 from imolo.errors import FieldError, did_you_mean
-from imolo.inspect.definitions import unit_of
+from imolo.inspect.definitions import field_units
 from imolo.inspect.names import INDICES, Names
 from imolo.messaging.channels import CHANNELS
 
@@ -65,8 +65,8 @@ class Selector:
 
     def unit_in(self, names: Names) -> str:
         """Return the unit of the .lcm file or, where that has none, the one that a log's robot says."""
-        fields = [step for step in self.steps if isinstance(step, str)]
-        return self.unit or (names.unit(self.channel, fields[-1]) if fields else "")
+        last = max(number for number, step in enumerate(self.steps) if isinstance(step, str))
+        return self.unit or names.unit(self.channel, str(self.steps[last]), self.steps[last + 1 :])
 
 
 def parse_selector(text: str) -> Selector:
@@ -100,7 +100,7 @@ def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> str:
     kind: Any = CHANNELS[channel].message_type
     open_sides: list[Any] = []
     unit = ""
-    for number, step in enumerate(steps):
+    for step in steps:
         if isinstance(step, str):
             if not hasattr(kind, "__slots__") or any(True for _ in open_sides):
                 raise FieldError(f"{text!r}: .{step} needs a message before it; give an index such as [0] first")
@@ -110,8 +110,7 @@ def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> str:
                     f"fields: {', '.join(kind.__slots__)}"
                 )
             field = kind.__slots__.index(step)
-            element = next((s for s in steps[number + 1 : number + 2] if isinstance(s, int)), None)
-            unit = unit_of(kind.__name__, step, element)
+            unit = field_units().get((kind.__name__, step), "")
             open_sides = list(kind.__dimensions__[field] or ())
             type_name = kind.__typenames__[field]
             kind = _nested_type(type_name)

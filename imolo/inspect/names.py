@@ -1,5 +1,6 @@
 """Names and units of the elements of messages, as the robot of a log says them: "right knee" instead of [1]."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,17 +32,20 @@ class Names:
 
     @classmethod
     def of(cls, path: Path) -> "Names":
-        """Return the names of a log, from the first ROBOT message before a trial has begun.
+        """Return the names of a log, from its first ROBOT message, which comes with the start of its first trial.
 
         Raises:
             BusError: The log cannot be read.
         """
+        started = b""
         with LogReader(path, (ROBOT, TRIAL), quiet=True) as reader:
             for event in reader:
                 if event.channel == ROBOT and (message := decode(ROBOT, event.data)) is not None:
                     return cls(message)
                 if event.channel == TRIAL:
-                    break
+                    if started not in (b"", event.data):
+                        break  # the trial goes on; a copy of its start would tell nothing
+                    started = event.data
         return cls()
 
     def label(self, channel: str, field: str, index: tuple[int, ...]) -> str:
@@ -60,11 +64,21 @@ class Names:
         ]
         return "".join(f"[{part}]" for part in parts)
 
-    def unit(self, channel: str, field: str) -> str:
-        """Return the unit of all elements of a field, where they have one in common that the robot says; else ""."""
-        _, _, units = NAMED.get((channel, field), (-1, "", ""))
-        known = set(getattr(self.robot, units, ())) if self.robot is not None and units else set()
-        return known.pop() if len(known) == 1 else ""
+    def unit(self, channel: str, field: str, steps: Sequence[object] = ()) -> str:
+        """Return the unit that the selected elements of a field have in common, as the robot says it; else "".
+
+        Args:
+            channel: Of the message.
+            field: Name of the array.
+            steps: Indices and slices that select elements of it.
+        """
+        named, _, units = NAMED.get((channel, field), (-1, "", ""))
+        known = list(getattr(self.robot, units, ())) if self.robot is not None and units else []
+        step = steps[named] if 0 <= named < len(steps) else slice(None)
+        if isinstance(step, int):
+            step = slice(step, step + 1 or None)
+        chosen = set(known[step]) if isinstance(step, slice) else set()
+        return chosen.pop() if len(chosen) == 1 else ""
 
 
 INDICES = Names()

@@ -65,8 +65,8 @@ def run_trial(
         controller.attach(bus)
         backend.start(bus, trial)
         try:
-            bus.publish(channels.ROBOT, describe_robot(config, backend.utime))
             bus.publish(channels.TRIAL, _event(config, trial, EventName.START, backend.utime))
+            bus.publish(channels.ROBOT, describe_robot(config, backend.utime))
             bus.drain()
             while backend.utime < end:
                 backend.advance(min(backend.utime + SLICE, end))

@@ -10,7 +10,9 @@ from recorded_trials import Recorded, write_events
 from imolo.errors import FieldError
 from imolo.inspect.definitions import definition_files, field_units
 from imolo.inspect.fields import column_name, leaf_name, leaves, parse_selector, selected
+from imolo.inspect.names import INDICES, Names
 from imolo.inspect.series import read_series, samples
+from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import read_log
 from imolo.messaging.log_file import LogEvent, read_events
@@ -20,14 +22,11 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("ACTUATOR_STATE.measured[2]", "Pa"),
         ("TRUTH_ROBOT.joint_angle[0:3]", "rad"),
         ("TRUTH_ROBOT.joint_velocity", "rad/s"),
         ("TRUTH_BALL.true_ball_velocity[-1]", "m/s"),
         ("MOCAP.markers[0].marker_position[1]", "m"),
-        ("PLAN.theta[0]", "-"),
-        ("PLAN.theta[1]", "s"),
-        ("PLAN.theta", ""),  # its two elements differ
+        ("PLAN.theta[1]", ""),  # the robot's
         ("PLAN.predicted_position[:][2]", "m"),
         ("PLAN.answered_frame", ""),
         ("BALL_STATE.covariance[0][0]", ""),
@@ -35,6 +34,26 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t
 )
 def test_unit_is_that_of_the_comment(text: str, unit: str) -> None:
     assert parse_selector(text).unit == unit
+    assert parse_selector(text).unit_in(INDICES) == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("ACTUATOR_STATE.measured[2]", "Pa"),
+        ("ACTUATOR_COMMAND.target[0][1:3]", "Pa"),
+        ("ACTUATOR_COMMAND.target", "Pa"),
+        ("PLAN.theta[0]", ""),
+        ("PLAN.theta[1]", "s"),
+        ("PLAN.theta[-1]", "s"),
+        ("PLAN.theta[1:]", "s"),
+        ("PLAN.theta", ""),  # its two elements differ
+        ("PLAN.theta[2]", ""),  # which this robot does not have
+        ("TRUTH_ROBOT.joint_angle[0:3]", "rad"),
+    ],
+)
+def test_unit_of_a_channel_or_parameter_is_what_the_robot_says(recorded: Recorded, text: str, unit: str) -> None:
+    assert parse_selector(text).unit_in(Names.of(recorded.first)) == unit
 
 
 @pytest.mark.parametrize(
@@ -42,7 +61,7 @@ def test_unit_is_that_of_the_comment(text: str, unit: str) -> None:
     [
         ("TRUTH_ROBT.joint_angle", "unknown channel 'TRUTH_ROBT'; did you mean 'TRUTH_ROBOT'?"),
         ("PLAN.thta", "PLAN has no field 'thta'; did you mean 'theta'?"),
-        ("PLAN.theta[2]", "index 2 is out of range; the array has 2 elements"),
+        ("PLAN.target_position[3]", "index 3 is out of range; the array has 3 elements"),
         ("PLAN.state[0]", "there is no array to take [0] of"),
         ("PLAN.theta.k", ".k needs a message before it"),
         ("MOCAP.markers.marker_id", ".marker_id needs a message before it; give an index"),
@@ -65,7 +84,7 @@ def test_series_holds_what_the_messages_hold(recorded: Recorded) -> None:
     (found,) = read_series(recorded.first, [parse_selector("TRUTH_ROBOT.joint_angle[1:3]")])
     assert found.time.tolist() == [message.utime * 1e-6 for message in messages]
     assert found.values.tolist() == [list(message.joint_angle[1:3]) for message in messages]
-    assert found.labels == ("TRUTH_ROBOT.joint_angle[1]", "TRUTH_ROBOT.joint_angle[2]")
+    assert found.labels == ("TRUTH_ROBOT.joint_angle[right_knee]", "TRUTH_ROBOT.joint_angle[right_ankle]")
 
 
 def test_element_that_a_message_does_not_have_is_nan(recorded: Recorded) -> None:
@@ -90,10 +109,28 @@ def test_leaf_has_a_name_for_tables_and_one_for_people() -> None:
     assert leaf_name("MOCAP", path) == "markers[1].marker_position[2]"
 
 
-def test_name_of_an_element_is_given_in_one_place(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imolo.inspect.fields.label", lambda channel, field, index: f" {channel}/{field}/{index}")
-    (found,) = read_series(recorded.first, [parse_selector("ACTUATOR_STATE.pressure[1:2]")])
-    assert found.labels == ("ACTUATOR_STATE.pressure ACTUATOR_STATE/pressure/(1,)",)
+def test_elements_have_the_names_that_the_robot_of_the_log_gives_them(recorded: Recorded) -> None:
+    names = Names.of(recorded.first)
+    assert leaf_name("ACTUATOR_STATE", ("measured", 1), names) == "measured[valve 2: extends right knee]"
+    assert leaf_name("ACTUATOR_COMMAND", ("target", 0, 1), names) == "target[0][valve 2: extends right knee]"
+    assert leaf_name("PLAN", ("theta", 1), names) == "theta[t_w]"
+    assert leaf_name("TRUTH_ROBOT", ("effector_position", 0, 2), names) == "effector_position[right_hand][2]"
+    assert leaf_name("PLAN", ("theta", 2), names) == "theta[2]"  # which this robot does not have
+
+
+def test_log_without_a_robot_has_indices_for_names(recorded: Recorded, tmp_path: Path) -> None:
+    events = [event for event in read_events(recorded.first) if event.channel != channels.ROBOT]
+    (found,) = read_series(write_events(tmp_path / "log", events), [parse_selector("ACTUATOR_STATE.measured[1:2]")])
+    assert (found.labels, found.unit) == (("ACTUATOR_STATE.measured[1]",), "")
+
+
+def test_names_are_sought_no_longer_than_until_a_trial_goes_on(recorded: Recorded, tmp_path: Path) -> None:
+    events = list(read_events(recorded.first))
+    (robot,) = (event for event in events if event.channel == channels.ROBOT)
+    start, *others = (event for event in events if event.channel == channels.TRIAL)
+    for log, known in (([start, start, robot], True), ([robot, start], True), ([start, others[0], robot], False)):
+        names = Names.of(write_events(tmp_path / "log", log))
+        assert (names.robot is not None) is known
 
 
 @pytest.mark.parametrize("index", [-3, 2])
@@ -156,7 +193,7 @@ def test_every_time_has_its_unit() -> None:
     for channel in STREAMS.values():
         for name in channel.message_type.__slots__:
             if name.endswith("utime"):
-                assert field_units()[channel.message_type.__name__, name] == ("us",)
+                assert field_units()[channel.message_type.__name__, name] == "us"
 
 
 def test_wheel_holds_every_definition() -> None:

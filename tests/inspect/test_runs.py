@@ -47,18 +47,20 @@ def test_figure_of_identical_runs_says_so(recorded: Recorded, run: Run) -> None:
 
 def test_infinite_difference_is_the_largest_and_nan_is_itself() -> None:
     message, other = actuator_state_t(), actuator_state_t()
-    message.pressure = [float("nan"), 1.0, 2.0, *[0.0] * 5]
-    other.pressure = [float("nan"), 1.5, 2.0, *[0.0] * 4, float("inf")]
+    message.num_measured = other.num_measured = 8
+    message.measured = [float("nan"), 1.0, 2.0, *[0.0] * 5]
+    other.measured = [float("nan"), 1.5, 2.0, *[0.0] * 4, float("inf")]
     one, two = (LogEvent(0, 7, "ACTUATOR_STATE", each.encode(), 0) for each in (message, other))
     (channel,) = compare_runs([one], [two]).channels
     assert channel.first is not None
-    assert (channel.first.field, channel.first.values) == ("pressure[1]", (1.0, 1.5))
-    assert (channel.largest, channel.largest_field) == (float("inf"), "pressure[7]")
+    assert (channel.first.field, channel.first.values) == ("measured[1]", (1.0, 1.5))
+    assert (channel.largest, channel.largest_field) == (float("inf"), "measured[7]")
 
 
 def test_messages_with_other_bytes_and_the_same_numbers_differ() -> None:
     zero, other = actuator_state_t(), actuator_state_t()
-    other.pressure = [-0.0] * 8
+    zero.num_measured = other.num_measured = 8
+    zero.measured, other.measured = [0.0] * 8, [-0.0] * 8
     for one, two in ((zero.encode(), other.encode()), (zero.encode(), zero.encode() + b"x")):
         (channel,) = compare_runs(*([LogEvent(0, 7, "ACTUATOR_STATE", data, 0)] for data in (one, two))).channels
         assert channel.equal == 0
@@ -97,26 +99,32 @@ def test_long_messages_of_others_are_compared_and_shown_where_they_part(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("channel", "field", "element"),
-    [("TRUTH_ROBOT", "joint_angle", 3), ("ACTUATOR_STATE", "measured", 7), ("PLAN", "target_position", 1)],
+    ("channel", "field", "element", "name"),
+    [
+        ("TRUTH_ROBOT", "joint_angle", 3, "left_hip"),
+        ("ACTUATOR_STATE", "measured", 7, "valve 8: lowers arms, bends legs"),
+        ("PLAN", "target_position", 1, "1"),
+    ],
 )
 def test_diff_names_the_message_field_and_time_that_were_changed(
-    recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int
+    recorded: Recorded, tmp_path: Path, run: Run, channel: str, field: str, element: int, name: str
 ) -> None:
     events = list(read_events(recorded.first))
     own = [event for event in events if event.channel == channel]
     other = write_events(tmp_path / "other.lcmlog", changed(events, channel, 40, field, element, 0.25))
     result = compare_logs(recorded.first, other)
     assert result.first is not None
-    assert (result.first.channel, result.first.index, result.first.field) == (channel, 40, f"{field}[{element}]")
+    assert (result.first.channel, result.first.index, result.first.field) == (channel, 40, f"{field}[{name}]")
     assert result.first.utime == own[40].utime
     (compared,) = (each for each in result.channels if each.channel == channel)
-    assert (compared.equal, compared.largest_field) == (len(own) - 1, f"{field}[{element}]")
+    assert (compared.equal, compared.largest_field) == (len(own) - 1, f"{field}[{name}]")
     # The sum is rounded to the spacing of doubles near the pressure.
     assert compared.largest == pytest.approx(0.25, abs=1e-9)
     code, output, _ = run("diff", recorded.first, other)
     assert code == 1
-    assert f"they part at {channel} message 40 at {own[40].utime * 1e-6:.6f} s, {field}[{element}]: " in output
+    assert f"they part at {channel} message 40 at {own[40].utime * 1e-6:.6f} s, {field}[{name}]: " in " ".join(
+        output.split()
+    )
 
 
 def test_message_that_only_one_run_has_is_named(recorded: Recorded, tmp_path: Path) -> None:

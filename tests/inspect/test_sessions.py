@@ -190,5 +190,5 @@ def test_tables_of_a_session_say_which_trial_a_row_is_of(session: Path, recorded
 
 
 def test_silent_channel_of_a_trial_is_refused(session: Path) -> None:
-    with pytest.raises(FieldError, match=r"has no HEARTBEAT; it has ACTUATOR_COMMAND"):
+    with pytest.raises(FieldError, match=r"has no HEARTBEAT; it has ROBOT, ACTUATOR_COMMAND"):
         read_series(session, [parse_selector("HEARTBEAT.pid")], 1)

@@ -46,7 +46,7 @@ class TestWithJava:
         assert {channel: kind for channel, kind, _ in found} == {
             name: f"imolo_msgs.{channel.message_type.__name__}" for name, channel in STREAMS.items()
         }
-        assert Counter(channel for channel, _, _ in found) == Counter(e.channel for e in read_events(recorded.first)[0])
+        assert Counter(channel for channel, _, _ in found) == Counter(e.channel for e in read_events(recorded.first))
 
     def test_jar_is_built_once_for_each_version_of_the_types(
         self, jar: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
