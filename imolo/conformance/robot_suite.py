@@ -59,16 +59,16 @@ class RobotSuite(Suite):
     def checks(self) -> dict[str, Check]:
         """The checks by name, in the order of the report."""
         probe = _Probe(self.config)
+        mirrored = bool(probe.body.mirrored_joints)
         found = [
-            Check("masses", "body", "Every link has a mass and an inertia that a body can have", probe.masses),
+            Check("masses", "body", "Every part has a mass and an inertia that a body can have", probe.masses),
             Check("ranges", "body", "Poses and targets lie within the ranges of joints and channels", probe.ranges),
             Check("markers", "body", "Cameras see the markers where the model has them", probe.markers),
             Check("ready_pose", "body", "The robot stands still in its ready pose", probe.ready_pose),
+            *((Check("mirror", "body", "Mirrored motions are mirror images", probe.mirror),) if mirrored else ()),
             Check("actuators", "actuators", "Held joints settle to the torque in closed form", probe.actuators),
             Check("motion", "motion", "Every corner of the table's grid is a motion", probe.motion),
         ]
-        if probe.body.mirrored_joints:
-            found.append(Check("mirror", "body", "Mirrored motions are mirror images", probe.mirror))
         found += self.config.simulation.actuators.checks(probe.body.joint_limits)
         return {check.name: check for check in found}
 
@@ -95,15 +95,14 @@ class _Probe:
 
     def masses(self) -> Iterator[Measurement]:
         """Compare the moments of inertia with what a rigid body can have."""
-        links = list(self.body.model.links.values())
-        moving = links if not self.body.fixed_base else [link for link in links if link.name != self.body.model.base]
-        lightest = min(moving, key=lambda link: link.mass)
-        light = sum(link.mass <= 0.0 for link in moving)
-        yield Measurement(
-            f"links without mass (the lightest is {lightest.name})", "", 0.0, light, 0.0, "bodies have mass"
-        )
+        model = self.body.model
+        # A frame that a link carries needs no mass of its own, and neither does a base that stands on the world.
+        parts = sorted(set(model.parts.values()) - ({model.parts[model.base]} if self.body.fixed_base else set()))
+        lightest = min(parts, key=model.part_mass)
+        light = sum(model.part_mass(part) <= 0.0 for part in parts)
+        yield Measurement(f"parts without mass (the lightest is {lightest})", "", 0.0, light, 0.0, "bodies have mass")
         # The largest principal moment is at most the sum of the others.
-        impossible = [link.name for link in moving if not _possible(link.inertia)]
+        impossible = [link.name for link in model.links.values() if link.mass and not _possible(link.inertia)]
         what = f"links with an impossible inertia ({', '.join(impossible) or 'none'})"
         yield Measurement(what, "", 0.0, len(impossible), 0.0, "triangle inequality of principal moments")
 
@@ -111,8 +110,10 @@ class _Probe:
         """Compare ready pose and resting targets with their ranges."""
         low, high = self.body.joint_limits.T
         ready = np.array(self.body.ready)
-        beyond = float(np.maximum(low - ready, ready - high).max(initial=-1.0))
-        yield Measurement("ready pose beyond a joint's limit", "rad", 0.0, max(beyond, 0.0), 1e-9, "rounding")
+        beyond = np.maximum(np.maximum(low - ready, ready - high), 0.0)
+        joint = self.body.joint_names[int(beyond.argmax())]
+        what = f"ready pose beyond the farthest joint's limit ({joint})"
+        yield Measurement(what, "rad", 0.0, float(beyond.max()), 1e-9, "rounding")
         wrong = [c.name for c in self._channels if not (c.low <= c.rest <= c.high and c.low <= c.released <= c.high)]
         what = f"channels whose rest or release is out of range ({', '.join(wrong) or 'none'})"
         yield Measurement(what, "", 0.0, len(wrong), 0.0, "`Channel`")

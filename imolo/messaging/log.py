@@ -126,7 +126,7 @@ def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str
 
 
 def refuse_older(path: Path, event: LogEvent) -> None:
-    """Raise `BusError` for an event that only imolo 0.1 wrote, whose messages knew Liberobot's valves alone."""
+    """Raise `BusError` for an event that only imolo 0.1 wrote, whose messages knew eight valves alone."""
     if event.channel in OLDER_CHANNELS or (event.channel == TRIAL and event.data.startswith(OLDER_TRIAL)):
         raise BusError(f"{path} was recorded before robots were plug-ins; read it with imolo 0.1, or record it again")
 
