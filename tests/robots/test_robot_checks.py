@@ -10,7 +10,6 @@ from imolo.config.loading import config_for
 from imolo.conformance import Verdict
 from imolo.conformance.check import Outcome
 from imolo.conformance.robot_suite import RobotSuite, robot_suites
-from imolo.conformance.runner import run_suites
 from imolo.contracts.registry import ROBOTS
 from imolo.errors import ConfigError, ImoloError
 from imolo.scaffold.files import write_files
@@ -56,14 +55,6 @@ def test_robot_that_comes_along_conforms(robot: str) -> None:
     (suite,) = robot_suites(robot, ["mujoco"])
     assert len(suite.checks) >= 6
     assert failures(suite) == []
-
-
-def test_process_of_its_own_runs_the_checks_of_the_robot() -> None:
-    (suite,) = robot_suites("pneumatic_arm", ["mujoco"])
-    (outcomes,) = run_suites([suite], ["masses", "ranges"]).values()
-    assert [(one.check, one.verdict) for one in outcomes] == [("masses", Verdict.PASS)] * 2 + [
-        ("ranges", Verdict.PASS)
-    ] * 2
 
 
 def test_new_robot_has_nothing_to_fail(wrong: Wrong) -> None:
