@@ -78,7 +78,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes what is a number in YAML 1.1 or here, and escapes line ends of Unicode, which PyYAML writes as they are."""
+    """Quotes what is a number in YAML 1.1 or here, and escapes line ends of Unicode, which PyYAML does not."""
 
     def represent_str(self, data: str) -> yaml.ScalarNode:
         style = '"' if set(data) & set(LINE_ENDS) else None
