@@ -126,7 +126,8 @@ static int speak(const imolo_msgs_mocap_frame_t *frame, imolo_msgs_envelope_t *s
             .onset_utime = onset, .num_phases = phases, .num_targets = channels, .switch_utime = ends, .target = rows};
         for (int i = 0; i < phases; i++) ends[i] = onset + llround(motion[i]), rows[i] = motion + phases + i * channels;
         said[count].inner_channel = "ACTUATOR_COMMAND", said[count].inner_data = command_bytes;
-        said[count++].inner_size = imolo_msgs_actuator_command_t_encode(command_bytes, 0, sizeof command_bytes, &command);
+        said[count++].inner_size =
+            imolo_msgs_actuator_command_t_encode(command_bytes, 0, sizeof command_bytes, &command);
         plan.state = sequence == 1 ? IMOLO_MSGS_PLAN_T_STARTED : IMOLO_MSGS_PLAN_T_KEPT, plan.effector = 0;
         plan.plan_onset_utime = onset, plan.hit_utime = onset + llround(chosen->t);
         memcpy(plan.target_position, chosen->at, sizeof chosen->at);
@@ -136,8 +137,8 @@ static int speak(const imolo_msgs_mocap_frame_t *frame, imolo_msgs_envelope_t *s
     return count;
 }
 
-static void on_request(const lcm_recv_buf_t *buffer, const char *name, const imolo_msgs_step_request_t *asks, void *user) {
-    (void)buffer, (void)name, (void)user;
+static void on_request(const lcm_recv_buf_t *b, const char *c, const imolo_msgs_step_request_t *asks, void *user) {
+    (void)b, (void)c, (void)user;
     if (asks->asking_backend > backend) backend = asks->asking_backend, answered = 0;
     if (asks->asking_backend < backend || asks->step_number < answered) return; /* nobody waits for it any more */
     if (asks->step_number > answered) { /* else asked again: the same bytes once more */
