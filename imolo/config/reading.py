@@ -101,7 +101,9 @@ def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
         message = f"{key!r} is missing"
     else:
         reason = first["msg"].removeprefix("Value error, ").replace("an object", "a valid dictionary")
-        message = f"{key!r} is {_short(first['input'])}: {reason}"
+        whole = isinstance(first["input"], Mapping) and first["input"]
+        value = repr(key) if whole else f"{key!r} is {_short(first['input'])}"
+        message = f"{value}: {reason}" if key else reason
         if first["type"] == "bool_type":
             message += "; write true or false"
     others = len(error.errors()) - 1

@@ -11,6 +11,7 @@ from imolo.machine.files import read_bounded
 MOST_BYTES = 1_000_000  # the resolved config of 320 motions has 20,000
 MOST_CHARACTERS = 1_000_000  # of values and keys, each with 10 for itself, what an alias stands for counted each time
 DEEPEST = 100
+LINE_ENDS = "\x85\u2028\u2029"
 MOST_QUOTED = 300  # [characters] of what is wrong
 
 # The core schema of YAML 1.2 less octals and hexadecimals: 010, 0o10, 1:30, 1_000, yes and dates are texts.
@@ -77,7 +78,14 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes what is a number in YAML 1.1 or here."""
+    """Quotes what is a number in YAML 1.1 or here, and escapes line ends of Unicode, which PyYAML does not."""
+
+    def represent_str(self, data: str) -> yaml.ScalarNode:
+        style = '"' if set(data) & set(LINE_ENDS) else None
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style)
+
+
+_Dumper.add_representer(str, _Dumper.represent_str)
 
 
 _Loader.yaml_implicit_resolvers = {}  # none of YAML 1.1

@@ -114,6 +114,8 @@ class Body:
         object.__setattr__(self, "ready", tuple(self.ready) or (0.0,) * len(self.joint_names))
         for name in self.joint_names:
             self._check_name("joint", name, movable)
+        for name in (*self.mirrored_joints, *self.mirrored_joints.values()):
+            self._check_name("mirrored joint", name, self.joint_names)
         used = [(f"marker {marker.name!r}", marker.link) for marker in self.markers]
         used += [(f"effector {effector.name!r}", effector.link) for effector in self.effectors]
         used += [("foot", foot.link) for foot in self.feet]

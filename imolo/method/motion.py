@@ -132,12 +132,19 @@ class PhaseParameter(Parameter):
 
     Attributes:
         phase: Which phase, counted from 1: c of Eq. 1, or w of Eq. 3.
+        also: Later phases whose targets change alike.
         direction: Added to the target of the phase, times the value (u_k of Eq. 1), shape (C,); None for a parameter
             that is the end of the phase.
     """
 
     phase: Annotated[int, Field(ge=1)]
+    also: tuple[Annotated[int, Field(ge=1)], ...] = ()
     direction: tuple[float, ...] | None = None
+
+    @property
+    def changed_phases(self) -> tuple[int, ...]:
+        """All phases whose target it changes, counted from 1; none for the end of a phase."""
+        return () if self.direction is None else (self.phase, *self.also)
 
 
 class PhasedMotion(MotionTemplate):
@@ -186,8 +193,10 @@ class PhasedMotion(MotionTemplate):
         return self
 
     def _check_parameter(self, one: PhaseParameter, count: int, width: int) -> None:
-        if one.phase > count:
-            raise ValueError(f"{one.name} changes phase {one.phase}; give 1 to {count}")
+        if (last := max((one.phase, *one.also))) > count:
+            raise ValueError(f"{one.name} changes phase {last}; give 1 to {count}")
+        if any(late <= one.phase for late in one.also):
+            raise ValueError(f"{one.name} changes phase {one.phase} and also {one.also}; give later ones")
         if one.direction is not None and len(one.direction) != width:
             raise ValueError(f"direction of {one.name} has {len(one.direction)} values; give {width}, one per channel")
         if one.direction is not None and one.range is None:
@@ -197,7 +206,7 @@ class PhasedMotion(MotionTemplate):
         for number, phase in enumerate(self.phases, start=1):
             least, most = np.array(phase.target), np.array(phase.target)
             for one in self.varied:
-                if one.phase == number and one.direction is not None and one.range is not None:
+                if number in one.changed_phases and one.direction is not None and one.range is not None:
                     ends = np.outer(one.range, one.direction)
                     least, most = least + ends.min(axis=0), most + ends.max(axis=0)
             if not (low <= least.min() and most.max() <= high):
@@ -223,8 +232,8 @@ class PhasedMotion(MotionTemplate):
         targets = np.array([phase.target for phase in self.phases])
         for one, value in zip(self.varied, theta, strict=True):
             self._check_value(one, value)
-            if one.direction is not None:
-                targets[one.phase - 1] += value * np.array(one.direction)
+            for phase in one.changed_phases:
+                targets[phase - 1] += value * np.array(one.direction)
         ends = self._ends(np.array([theta], dtype=np.float64))[0]
         switch_utime = tuple(onset_utime + to_microseconds(time) for time in ends.tolist())
         try:

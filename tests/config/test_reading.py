@@ -91,7 +91,25 @@ PLAIN = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )
-TRAPS = ["1e5", "yes", "010", "1:30", "0x1", "~", "<<", "=", "", "2020-01-01", "true", "1_000", ".5", ".inf", "5."]
+TRAPS = [
+    "1e5",
+    "yes",
+    "010",
+    "1:30",
+    "0x1",
+    "~",
+    "<<",
+    "=",
+    "",
+    "2020-01-01",
+    "true",
+    "1_000",
+    ".5",
+    ".inf",
+    "5.",
+    "\x85",
+    "\u2028",
+]
 
 
 @given(content=PLAIN | st.lists(st.sampled_from(TRAPS)))

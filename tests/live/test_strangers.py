@@ -109,7 +109,7 @@ def test_second_commander_vents_the_robot_and_voids_the_trial(order: tuple[str, 
     assert vent.switch_utime[0] <= 10_000
     (line,) = (line for line in stage.console.lines if "commands the robot beside planner" in line)
     assert "commander 7" in line
-    assert line.endswith("all valves vent")
+    assert line.endswith("all channels are released")
     # Nothing is followed any more.
     stage.command(9000, stage.planner.instance, 3)
     stage.step(11_000)

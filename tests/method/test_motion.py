@@ -93,6 +93,8 @@ def with_phase(number: int, **values: Any) -> dict[str, Any]:
         (with_k(range=(1.0, -1.0)), "give the lower bound first"),
         (with_k(range=None), "k has no range"),
         (with_k(phase=4), "k changes phase 4; give 1 to 3"),
+        (with_k(also=(4,)), "k changes phase 4; give 1 to 3"),
+        (with_k(also=(1,)), "k changes phase 1 and also .1,.; give later ones"),
         (with_k(direction=(1.0,) * 7), "direction of k has 7 values; give 8"),
         (with_k(direction=None), "phase 1 ends at 0.1 and by"),
         (with_k(name="t_w"), "varied names t_w, t_w; give each parameter a name of its own"),
@@ -117,6 +119,13 @@ def test_a_changed_target_shows_when_its_phase_starts_and_a_changed_end_there() 
     shows = [template.shows_from([(0.5, 0.3)])[0].tolist() for template in OF_THE_PAPER]
     assert shows == [[0.0, 0.3], [0.1, 0.3], [0.3, 0.3], [0.0, 0.3], [0.3, 0.3]]
     assert [template.last_change((0.5, 0.3)) for template in OF_THE_PAPER] == [0.3] * 5
+
+
+def test_a_parameter_changes_the_targets_of_every_phase_it_names() -> None:
+    both = PhasedMotion.model_validate({**MOTION.model_dump(), **with_k(also=(2,), range=(0.0, 0.1))})
+    rest, changed = (np.array(both.commands((k, 0.3), 0).targets) for k in (0.0, 0.1))
+    step = 0.1 * np.array(both.varied[0].direction)
+    np.testing.assert_allclose(changed - rest, [step, step, np.zeros(8)], atol=1e-9)
 
 
 def test_the_swing_begins_where_the_phase_before_it_ends() -> None:

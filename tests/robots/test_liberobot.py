@@ -269,6 +269,7 @@ def test_a_urdf_that_cannot_be_used_is_refused(tmp_path: Path, old: str, new: st
         ({"effectors": ()}, "has no effector; name the link that is to meet the ball"),
         ({"markers": (*MARKERS, Marker(3, "nose", "trunk"))}, "marker id 3 is negative or used twice"),
         ({"markers": (*MARKERS, Marker(-1, "nose", "trunk"))}, "marker id -1 is negative or used twice"),
+        ({"mirrored_joints": {"left_hip": "right_hp"}}, "mirrored joint 'right_hp' is not in .*mean 'right_hip'"),
         ({"ready": (0.0,) * 7}, "the ready pose has 7 angles for 8 joints"),
     ],
 )
