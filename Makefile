@@ -50,7 +50,7 @@ c-planner: $(READY) ## Build examples/c_planner, a planner in C, to build/c_plan
 	mkdir -p $(C_PLANNER)
 	cd lcmtypes && $(abspath $(BIN))/lcm-gen --c --c-cpath $(abspath $(C_PLANNER)) --c-hpath $(abspath $(C_PLANNER)) \
 		actuator_command_t.lcm envelope_t.lcm heartbeat_t.lcm marker_t.lcm mocap_frame_t.lcm plan_t.lcm step_answer_t.lcm \
-		step_request_t.lcm trial_event_t.lcm
+		step_request_t.lcm
 	gcc -std=gnu11 -O2 -Wall -Wextra -I$(C_PLANNER) -I$(LCM)/include -o $(C_PLANNER)/planner \
 		examples/c_planner/planner.c $(C_PLANNER)/*.c $(LCM)/lib/liblcm.a -l:libglib-2.0.so.0 -lm -lpthread
 

@@ -28,6 +28,7 @@ OPTIONAL = {
     "chromium": lambda: _programs("chromium", "chromium"),
     "ode": lambda: BACKENDS.status("ode").problem,
     "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
+    "glib": lambda: "" if find_library("glib-2.0") else "libglib-2.0 not found; apt-get install libglib2.0-0",
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
     "iio": _libiio,
     "display": lambda: _programs("xvfb xdotool", "Xvfb", "xdotool"),

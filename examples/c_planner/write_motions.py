@@ -17,5 +17,6 @@ with Path(sys.argv[2]).open("w", encoding="ascii") as file:
     file.write(f"{table.robot} {len(thetas)} {phases} {channels} {len(table)}\n")
     for one in commands:
         file.write(" ".join(map(str, [*one.switch_utime, *one.targets.ravel().tolist()])) + "\n")
-    for theta, time, place in zip(table.theta.tolist(), table.time.tolist(), table.position.tolist(), strict=True):
-        file.write(f"{number[tuple(theta)]} {round(time * 1e6)} {place[0]:.3f} {place[1]:.3f} {place[2]:.3f}\n")
+    for row in table.time.argsort(kind="stable"):
+        place = " ".join(f"{value:.3f}" for value in table.position[row])
+        file.write(f"{number[tuple(table.theta[row].tolist())]} {round(table.time[row] * 1e6)} {place}\n")

@@ -124,8 +124,10 @@ class RemotePlanner(ABC):
             raise
         if channel == channels.MOCAP:
             self.latency.add(time.perf_counter() - begin)
-        for said in answers:
-            self._inside.publish_raw(*said)
+        for said, message in answers:
+            if said not in PLANNER_SAYS:
+                self._give_up(f"the planner speaks on {said!r}; it may on {', '.join(PLANNER_SAYS)}")
+            self._inside.publish_raw(said, message)
 
     def _watch(self) -> None:
         """Keep the heart beating; break the trial off if it cannot go on."""

@@ -11,7 +11,7 @@ from imolo.contracts.robot import Body
 from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.log import Log
-from imolo.trials.recordings import last_plan, marker_track
+from imolo.trials.recordings import effector_of, last_plan, marker_track
 from imolo_msgs import marker_t, plan_t
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def trial_tracks(log: Log, body: Body) -> Packed:
         are packed by `pack`. `hand` is the one that was to hit the ball in the end.
     """
     plan = last_plan(log)
-    effector = 0 if plan is None else max(plan.effector, 0)
+    effector = 0 if plan is None else effector_of(plan, body)
     events = [[round(event.utime * 1e-6, 6), event.event] for event in log.messages[channels.TRIAL]]
     tracks: Packed = {"events": events}
     truth = thinned(log.messages[channels.TRUTH_ROBOT], RATE)

@@ -24,7 +24,7 @@ def robot(name: Name, out: Folder = None) -> None:
 @new.command()
 def engine(name: Name, out: Folder = None) -> None:
     """Write an engine that runs at once: adapter, entry point and test; see docs/adding-an-engine.md."""
-    _write("engine", name, out, f"imolo check {name} --only contract")
+    _write("engine", name, out, f"imolo check {name} --only clock")
 
 
 def _write(kind: str, name: str, out: Path | None, check: str) -> None:

@@ -44,7 +44,8 @@ def write_files(kind: str, name: str, folder: Path) -> list[Path]:
 def _copy(source: Traversable, folder: Path, placeholder: str, name: str, written: list[Path]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for entry in sorted(source.iterdir(), key=lambda one: one.name):
-        if entry.name == "__pycache__":
+        # What Python and the tools leave behind.
+        if entry.name.startswith((".", "__pycache__")):
             continue
         target = folder / _named(entry.name, placeholder, name)
         if entry.is_dir():

@@ -11,7 +11,7 @@ A miss has one cause, the first of these that holds:
 * hand error: at the planned time of the hit the hand was at least as far from the selected grid point as the ball.
 * update impossible: the ball was farther, and at the last frame that could still change theta, its path already
   missed the selected grid point by more than half the width of plate and ball, and no tuple that shares the executed
-  part led elsewhere.
+  part led elsewhere. Without a theta of the template this is not told.
 * prediction error: the ball was farther, but the planner learned of it when nothing could be changed any more.
 """
 
@@ -27,7 +27,7 @@ from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.motion import MotionTemplate
 from imolo.method.table import LookupTable
-from imolo.trials.recordings import LINK_TIME, last_plan, nearest_unlabelled
+from imolo.trials.recordings import LINK_TIME, last_plan, nearest_unlabelled, theta_of
 from imolo_msgs import plan_t
 
 Array = NDArray[np.float64]
@@ -175,7 +175,8 @@ def _known_miss(log: Log, method: MethodConfig, motion: MotionTemplate) -> float
         for plan in log.messages[channels.PLAN]
         if plan.plan_onset_utime > 0
         and plan.num_predictions
-        and plan.utime + lead < plan.plan_onset_utime + motion.last_change(plan.theta) * 1e6
+        and (theta := theta_of(plan, motion))
+        and plan.utime + lead < plan.plan_onset_utime + motion.last_change(theta) * 1e6
     ]
     if not changeable:
         return None

@@ -15,7 +15,7 @@ from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.table import LookupTable
 from imolo.trials.causes import Cause, distance_of_ball, find_cause, throw_position
-from imolo.trials.recordings import hand_at, last_plan, nearest_unlabelled
+from imolo.trials.recordings import effector_of, hand_at, last_plan, nearest_unlabelled, theta_of
 from imolo_msgs import plan_t
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class TrialResult(BaseModel):
         trial: Index of the trial.
         hit: Whether the task was done.
         outcome: "hit" (or what the task calls it), "missed" or "no motion found".
-        theta: Of the last plan; None without a motion.
+        theta: Of the last plan; None without a motion, empty if the planner names none.
         updates: How often the commands were updated after the onset.
         hand_error: Distance between the selected grid point and the hand when it was to be there [m]; None without a
             motion or if the hand was not seen.
@@ -156,7 +156,7 @@ def judge_trial(
         trial=events[0].trial,
         hit=verdict.success,
         outcome=outcome,
-        theta=None if plan is None else tuple(plan.theta),
+        theta=None if plan is None else theta_of(plan, config.motion),
         updates=updates,
         hand_error=hand_error,
         prediction_error={} if end is None else _prediction_errors(log, end),
@@ -224,8 +224,8 @@ def _by_position(trials: Sequence[TrialResult]) -> tuple[PositionResult, ...]:
 
 
 def _hand_error(log: Log, plan: plan_t, config: ExperimentConfig) -> float | None:
-    marker = body_of(config.robot).effector_marker(max(plan.effector, 0))
-    hand = hand_at(log, marker, plan.hit_utime * 1e-6)
+    body = body_of(config.robot)
+    hand = hand_at(log, body.effector_marker(effector_of(plan, body)), plan.hit_utime * 1e-6)
     return None if hand is None else float(np.linalg.norm(hand - np.array(plan.target_position)))
 
 

@@ -7,10 +7,12 @@ from scipy.interpolate import CubicSpline
 from imolo.ball.flight import Flight, free_flight
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of
+from imolo.contracts.robot import Body
 from imolo.errors import TrainingDataError
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.forward_model import TrainingData
+from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import marker_t, mocap_frame_t, plan_t
 
 Array = NDArray[np.float64]
@@ -50,6 +52,16 @@ def last_plan(log: Log) -> plan_t | None:
     """Return the last plan of the motion that was executed; None if none was started."""
     started = [plan for plan in log.messages[channels.PLAN] if plan.plan_onset_utime > 0]
     return started[-1] if started else None
+
+
+def effector_of(plan: plan_t, body: Body) -> int:
+    """Return which effector is to meet the ball; the first one where the plan names none that the robot has."""
+    return int(plan.effector) if 0 <= plan.effector < len(body.effectors) else 0
+
+
+def theta_of(plan: plan_t, motion: MotionTemplate) -> Theta:
+    """Return theta; empty where the plan's is not one of the template, as that of a planner that knows none."""
+    return tuple(plan.theta) if len(plan.theta) == len(motion.parameters) else ()
 
 
 def hand_in_swing(log: Log, config: ExperimentConfig) -> Array | None:

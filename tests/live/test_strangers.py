@@ -19,7 +19,7 @@ from imolo.live.lockstep import Asker
 from imolo.live.node import SILENCE, Node
 from imolo.live.planner_program import PlannerProgram
 from imolo.live.program import Console, Stop
-from imolo.live.remote_planner import VENTED, RealtimePlanner
+from imolo.live.remote_planner import VENTED, LockstepPlanner, RealtimePlanner
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
@@ -265,3 +265,32 @@ def test_session_outlives_strangers_and_follows_none_of_them(learned: Learned, t
     assert void.messages[channels.TRIAL][-1].event == EventName.END
     for program in (backend, planner):
         assert not any("Traceback" in line for line in program.lines)
+
+
+@pytest.mark.parametrize("channel", [channels.TRIAL, channels.MOCAP, "", "NOWHERE"])
+def test_a_planner_that_speaks_as_the_backend_makes_the_trial_void(channel: str) -> None:
+    bus, inside, console = Bus(), Bus(), Said()
+    node, planner = Node(bus, BACKEND, console.say), Node(bus, PLANNER, lambda _: None)
+    planner._beat(0.0)
+    bus.drain()
+    trial = LockstepPlanner(CONFIG, bus, node, Stop(), console)
+    trial.begin()
+    trial.attach(inside)
+    heard = []
+    inside.subscribe_raw(lambda channel, _: heard.append(channel))
+
+    def answer(_: str, data: bytes) -> None:
+        request = step_request_t.decode(data)
+        reply = step_answer_t()
+        reply.answering_planner, reply.answered_backend = planner.instance, node.instance
+        reply.answered_step, reply.num_answers, reply.answers = request.step_number, 1, [envelope_t()]
+        reply.answers[0].inner_channel = channel
+        reply.answers[0].inner_data, reply.answers[0].inner_size = NOISE, len(NOISE)
+        bus.publish(channels.STEP_ANSWER, reply)
+
+    bus.subscribe_raw(answer, channels.STEP_REQUEST)
+    inside.publish(channels.MOCAP, mocap_frame_t())
+    with pytest.raises(TrialVoidError, match=f"speaks on '{channel}'; it may on ACTUATOR_COMMAND"):
+        inside.drain()
+    inside.drain()
+    assert heard == []

@@ -94,3 +94,15 @@ def test_broken_urdf_is_named(tmp_path: Path) -> None:
     robot.urdf.write_text("<robot>")
     with pytest.raises(ResultsError, match=r"robot\.urdf"):
         robot_shapes(robot)
+
+
+def test_a_plan_for_no_effector_of_the_robot_shows_the_first_one(tmp_path: Path) -> None:
+    write_log(tmp_path / "trial.lcmlog", 0)
+    log = read_log(tmp_path / "trial.lcmlog")
+    shown = []
+    for effector in (0, -1, 7):
+        for plan in log.messages["PLAN"]:
+            plan.effector = effector
+        shown.append(trial_tracks(log, ROBOT)["hand"])
+    assert log.messages["PLAN"]
+    assert shown[0] == shown[1] == shown[2]

@@ -139,6 +139,22 @@ def test_known_miss_of_less_than_plate_and_ball_needs_no_update() -> None:
     assert cause(made_log(aims_at=far)) == Cause.UPDATE
 
 
+@pytest.mark.parametrize(("theta", "effector"), [([], -1), ([0.3], 7), ([0.3, 0.3, 0.3], -8)])
+def test_plans_that_name_no_theta_and_no_effector_of_the_robot_are_judged(theta: list[float], effector: int) -> None:
+    log = made_log(aims_at=GRID_POINT + OFF, wrong_until=LAST_CHANGE - 20_000)
+    named = judge_trial(log, CONFIG)
+    for message in log.messages[channels.PLAN]:
+        if message.plan_onset_utime:
+            message.num_parameters, message.theta, message.effector = len(theta), theta, effector
+    result = judge_trial(log, CONFIG)
+    assert (result.theta, result.cause) == ((), Cause.PREDICTION)
+    assert (result.outcome, result.hand_error, result.ball_error) == (
+        named.outcome,
+        named.hand_error,
+        named.ball_error,
+    )
+
+
 def test_planner_that_updates_nothing_makes_prediction_errors() -> None:
     method = METHOD.model_copy(update={"planner": PlannerConfig(update=False)})
     assert cause(made_log(aims_at=GRID_POINT + OFF), method=method) == Cause.PREDICTION

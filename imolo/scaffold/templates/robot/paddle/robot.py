@@ -1,4 +1,4 @@
-"""The robot, as the entry point offers it: its body here, all numbers of an experiment with it in paddle.yaml."""
+"""The robot's body, as the entry point offers it; all numbers of an experiment are in the YAML beside it."""
 
 from functools import cache
 from pathlib import Path
