@@ -78,8 +78,7 @@ class MujocoEngine(EngineAdapter):
         self._ball_velocity = data.qvel[ball_dof : ball_dof + 3]
         self._ball_reaction = memoryview(data.qfrc_constraint)[ball_dof : ball_dof + 3]
         self._views = isinstance(self._velocity_index, slice)
-        if self._views:
-            # MuJoCo's own memory, so that `motion` costs nothing.
+        if self._views:  # MuJoCo's own memory, so that `motion` costs nothing
             self._motion = (data.qpos[self._angle_index], data.qvel[self._velocity_index], self._ball_velocity)
         self._links = joint_index([model.body(name).id for name in scene.link_names])
         self._body_position, self._body_rotation = data.xpos, data.xmat.reshape(-1, 3, 3)
@@ -110,8 +109,7 @@ class MujocoEngine(EngineAdapter):
         self._applied[self._velocity_index] = joint_torque
         self._ball_force[:] = ball_force
         mujoco.mj_step(self._model, self._data)
-        reaction = self._ball_reaction
-        # Cheaper than a look at the contact list, which always holds the feet.
+        reaction = self._ball_reaction  # cheaper than a look at the contact list, which always holds the feet
         return reaction[0] or reaction[1] or reaction[2]
 
     def touches(self) -> Iterator[Touch]:
@@ -173,9 +171,8 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
 
     world = spec.worldbody
     fixed = [world.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(50.0, 50.0, 1.0))]
-    for box in scene.boxes:
-        kind = mujoco.mjtGeom.mjGEOM_BOX
-        fixed.append(world.add_geom(name=box.name, type=kind, pos=box.center, size=box.half_extents))
+    kind = mujoco.mjtGeom.mjGEOM_BOX
+    fixed += [world.add_geom(name=box.name, type=kind, pos=box.center, size=box.half_extents) for box in scene.boxes]
     for geom in fixed:
         _set_contact(geom, FIXED_MASK, scene.friction, options.solref)
     ball = scene.ball
@@ -221,9 +218,7 @@ def _loaded(model: Any, scene: Scene) -> Loaded:
 ALONG = ("distance", "distance at dt = 0", "direction")
 OFF_FLOOR = ("height off, at most", "turn, at most")
 LIMITATIONS = (
-    Limitation(
-        "a soft contact, critically damped, gives back e⁻² = 0.14", {"restitution_asked": ("e got for 0 asked",)}
-    ),
+    Limitation("a soft contact, critically damped, gives back 0.14", {"restitution_asked": ("e got for 0 asked",)}),
     Limitation(
         "soft friction gives way a little beside the slip, for the contact's impedance is 0.9 to 0.95, not 1",
         {"slide_30": ALONG, "slide_45": ALONG, "cone_or_pyramid": ("friction at 45° over friction at 0°",)},
