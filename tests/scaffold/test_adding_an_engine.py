@@ -41,6 +41,7 @@ def test_page_shows_the_starting_files(folder: Path, language: str, file: str) -
     assert (folder / "wrapped" / file).read_text(encoding="utf-8") == blocks(PAGE, language)[0]
 
 
+@pytest.mark.slow
 def test_new_engine_is_listed_and_runs_at_once(folder: Path) -> None:
     assert "one line for `imolo backends`" in " ".join(imolo(folder, "wrapped", "backends").stdout.split())
     checked = imolo(folder, "wrapped", "check", "wrapped", "--only", "clock")

@@ -9,6 +9,7 @@ from starting_files import ROOT, command, write_and_install
 OURS = ["--config", str(ROOT / "pyproject.toml"), "--config", f"src={[str(ROOT), str(ROOT / 'backends')]}"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["robot", "engine"])
 def test_starting_files_pass_lint_and_types(tmp_path: Path, kind: str) -> None:
     name = "a_name_that_is_rather_long"
