@@ -97,7 +97,7 @@ def play_campaign(folder: Path, table_path: Path, method: str, balls: int = BALL
         if announced := re.search(r": (hit trial \d+),", line):
             trial = announced[1]
             in_truth[trial] = False
-        elif "in truth: hit" in line:
+        elif f"in truth: {EventName.TOUCH}" in line:
             in_truth[trial] = True
     hits_in_truth = sum(in_truth[f"hit trial {task.trial.index}"] for task in tasks)
     return Campaign(len(tasks), hits, hits_in_truth, trials - len(tasks))
