@@ -171,7 +171,8 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         return place
 
     def unmount() -> None:
-        subprocess.run(["umount", place], check=False, stderr=subprocess.DEVNULL)
+        # Lazily, since the lock of the results folder stays open until the process ends.
+        subprocess.run(["umount", "--lazy", place], check=False, stderr=subprocess.DEVNULL)
 
     yield mount
     unmount()
