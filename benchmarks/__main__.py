@@ -1,4 +1,4 @@
-"""Measure everything that has a target, print one table, and write the numbers to a JSON file."""
+"""Measure everything that has a target, print one table and write a JSON file, or compare with another revision."""
 
 import argparse
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import campaign, hardware, live, loop, planner, table
+from benchmarks import against, campaign, hardware, live, loop, planner, table
 from benchmarks.learned import learn
 from benchmarks.measurement import Measurement
 from imolo.campaigns.results import installed_versions
@@ -70,8 +70,15 @@ def main() -> None:
     """Run as `python -m benchmarks`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results.json"), help="file to write")
-    path: Path = parser.parse_args().json
+    parser.add_argument("--against", metavar="REV", help="print ratios to this revision instead, measured in turns")
+    parser.add_argument("--only", nargs="+", choices=against.SUBJECTS, default=against.USUAL, help="with --against")
+    parser.add_argument("--rounds", type=int, default=3, help="with --against: how often each is measured")
+    given = parser.parse_args()
+    path: Path = given.json
     console = Console()
+    if given.against:
+        against.compare(given.against, given.only, given.rounds, console)
+        return
     measurements = list(measure(console))
     console.print(render(measurements))
     content = {
