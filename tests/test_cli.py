@@ -30,6 +30,23 @@ def test_help_names_every_command_beside_those_of_its_subject(run: Run) -> None:
     assert [name for name in named if name in COMMANDS] == list(COMMANDS)
 
 
+def test_backends_are_listed_without_what_only_trials_and_fits_import() -> None:
+    listing = "from imolo.contracts.registry import BACKENDS; [BACKENDS.status(name) for name in BACKENDS.names()]"
+    program = f"import sys; {listing}; print(*sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    imported = set(ended.stdout.split())
+    assert "imolo_backends.engines.mujoco_engine" in imported
+    assert not imported & {"sklearn", "scipy.stats", "scipy.spatial", "scipy.integrate", "scipy.optimize", "joblib"}
+
+
+def test_a_planner_with_its_table_needs_no_scikit_learn() -> None:
+    program = "import sys, imolo.method.planner, imolo.campaigns.campaign; print(*sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    imported = set(ended.stdout.split())
+    assert "imolo.method.table" in imported
+    assert not imported & {"sklearn", "scipy.stats", "matplotlib"}
+
+
 def test_help_waits_for_nothing_that_takes_long_to_import() -> None:
     program = "import sys, imolo.command_line.main; print(*sys.modules)"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)

@@ -14,9 +14,9 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import chi2
 
 from imolo.ball.aerodynamic import AerodynamicBallModel
+from imolo.ball.model import chi_square_quantile
 from imolo.ball.tracker import BallTracker, BallTrackerConfig, made_up_flight
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import BallConfig
@@ -87,7 +87,7 @@ class HitDetector:
         self._config = config
         self._model = _drag_model(config)
         self._tracker = BallTracker(self._model, tracker)
-        self._gate = float(chi2.ppf(config.gate_probability, 3))
+        self._gate = chi_square_quantile(config.gate_probability, 3)
         self._spread = config.margin**2 * np.eye(3)
         self._state: Array | None = None
         self._covariance = np.empty((0, 0))

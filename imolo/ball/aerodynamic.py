@@ -15,14 +15,12 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
-from scipy.stats import chi2
 
 from imolo.ball.aerodynamic_kernel import fly, normal_equations, position_covariances, transition
 from imolo.ball.flight import GRAVITY
-from imolo.ball.model import DAMAGED, PredictionError
+from imolo.ball.model import DAMAGED, BallFilter, PredictionError, chi_square_quantile
 from imolo.config.model import Model, NonNegative, Positive, Vector
 from imolo.config.reading import explain
 from imolo.errors import TableFileError
@@ -33,9 +31,8 @@ AerodynamicKind = Literal["drag", "spin"]
 STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
 ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
-_ON = np.ones(1)
 _ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope")
-_LAUNCH_GATE = float(chi2.ppf(0.999, 3))
+LAUNCH_PROBABILITY = 0.999  # of a release as those before it not to be taken for another kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,27 +101,22 @@ class AerodynamicBallModel:
         """Fuse a start with the velocity of release, unless the two contradict each other."""
         difference = self.prior_mean[:3] - state[3:6]
         spread = covariance[3:6, 3:6] + np.diag(self.prior_std[:3] ** 2)
-        if difference @ np.linalg.solve(spread, difference) > _LAUNCH_GATE:
+        if difference @ np.linalg.solve(spread, difference) > chi_square_quantile(LAUNCH_PROBABILITY, 3):
             return state, covariance
         gain = np.linalg.solve(spread, covariance[3:6]).T
         return state + gain @ difference, covariance - gain @ covariance[3:6]
 
-    def make_filter(self, state: Array, covariance: Array) -> KalmanFilter:
+    def make_filter(self, state: Array, covariance: Array) -> BallFilter:
         """Return a Kalman filter that starts from a state, shape (n,), and its covariance.
 
         Positions are measured linearly, so that an extended filter differs from it in `advance` alone.
         """
-        size = STATE_SIZE[self.kind]
-        kalman = KalmanFilter(dim_x=size, dim_z=3, dim_u=1)
-        kalman.x, kalman.P = state.copy(), covariance.copy()
-        kalman.H = np.eye(3, size)
-        kalman.R = self.measurement_covariance(state[:3])
-        return kalman
+        return BallFilter(state, covariance, self.measurement_covariance(state[:3]))
 
-    def advance(self, kalman: KalmanFilter, duration: float) -> None:
+    def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
         state, F, Q = transition(kalman.x, duration, self.acceleration_density, self.gravity)
-        kalman.predict(u=_ON, B=(state - F @ kalman.x)[:, None], F=F, Q=Q)
+        kalman.predict(F, state - F @ kalman.x, Q)
         kalman.R = self.measurement_covariance(state[:3])
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:

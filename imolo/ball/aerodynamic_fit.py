@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.linear_model import GammaRegressor
 
 from imolo.ball.aerodynamic import (
     STATE_SIZE,
@@ -153,6 +152,8 @@ class _Noise:
     @classmethod
     def fit(cls, positions: Sequence[Array], residuals: Sequence[Array]) -> "_Noise":
         """Fit it to the squares of residuals at unit noise, shape (N, 3) each, along the way that the flights go."""
+        from sklearn.linear_model import GammaRegressor
+
         position = np.concatenate(positions)
         center = position.mean(axis=0)
         direction = np.linalg.svd(position - center, full_matrices=False)[2][0]

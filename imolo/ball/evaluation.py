@@ -7,12 +7,11 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
-from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from imolo.ball.fit import FEWEST_FLIGHTS, fit_ball_model
 from imolo.ball.flight import Flight
-from imolo.ball.model import BallModelConfig, Kind
+from imolo.ball.model import BallModelConfig, Kind, chi_square_quantile
 from imolo.ball.prediction import prediction_errors
 from imolo.errors import TrainingDataError
 
@@ -156,7 +155,7 @@ def _rate(kind: Kind, protocol: str, horizon: float, folds: Sequence[tuple[Array
             sd=float(distance.std()),
             quantiles=(low, lower, median, upper, high),
             nees=float(squared.mean() / 3.0),
-            inside=float(np.mean(squared <= chi2.ppf(ELLIPSOID, 3))),
+            inside=float(np.mean(squared <= chi_square_quantile(ELLIPSOID, 3))),
             count=len(distance),
         )
     ]

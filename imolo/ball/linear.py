@@ -5,11 +5,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from imolo.ball.model import DAMAGED, Kind, PredictionError, white_acceleration
+from imolo.ball.model import DAMAGED, BallFilter, Kind, PredictionError, white_acceleration
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.reading import explain
 from imolo.errors import TableFileError, TrainingDataError
@@ -17,7 +16,6 @@ from imolo.errors import TableFileError, TrainingDataError
 Array = NDArray[np.float64]
 Structure = Literal["diagonal", "full"]
 _State = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
-_ON = np.ones(1)  # the control input that switches B on
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,18 +171,13 @@ class LinearBallModel:
         """Return the covariance of a measured position [m²], shape (3, 3), which is the same everywhere."""
         return np.diag(self.measurement_std**2)
 
-    def make_filter(self, state: Array, covariance: Array) -> KalmanFilter:
+    def make_filter(self, state: Array, covariance: Array) -> BallFilter:
         """Return a Kalman filter of the ball (Sec. V-C) that starts from a state, shape (6,), and its covariance."""
-        kalman = KalmanFilter(dim_x=6, dim_z=3, dim_u=1)
-        kalman.x, kalman.P = state.copy(), covariance.copy()
-        kalman.H = np.eye(3, 6)
-        kalman.R = self.measurement_covariance(state[:3])
-        return kalman
+        return BallFilter(state, covariance, self.measurement_covariance(state[:3]))
 
-    def advance(self, kalman: KalmanFilter, duration: float) -> None:
-        """Let a filter predict `duration` [s] ahead; B enters as its control input (Sec. V-C)."""
-        A, B, Q = self.transition(duration)
-        kalman.predict(u=_ON, B=B[:, None], F=A, Q=Q)
+    def advance(self, kalman: BallFilter, duration: float) -> None:
+        """Let a filter predict `duration` [s] ahead (Sec. V-C)."""
+        kalman.predict(*self.transition(duration))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers and lists, fit for JSON; `from_dict` restores it bit by bit."""

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.special import factorial
 
 from imolo.ball.flight import LEAST_NOISE, Flight
@@ -19,6 +18,8 @@ SHRINKAGE = 1e-4  # [m·s] keeps rates near zero that two or three flights say n
 
 def fit_linear(flights: Sequence[Flight], structure: Structure, config: BallModelConfig) -> LinearBallModel:
     """Fit A, B and the measurement noise; the process noise is left at the first candidate."""
+    from scipy.optimize import least_squares
+
     trajectories = _TrajectoryFit(flights)
     entries = np.diag_indices(3) if structure == "diagonal" else np.indices((3, 3)).reshape(2, 9)
 

@@ -54,8 +54,8 @@ class PredictionError(Model):
     count: int = Field(description="number of predictions")
 
 
-class BallFilter(Protocol):
-    """A running Kalman filter: filterpy's.
+class BallFilter:
+    """A running Kalman filter of measured positions.
 
     Attributes:
         x: State, shape (n,): position [m], velocity [m/s], then what the model adds.
@@ -63,12 +63,22 @@ class BallFilter(Protocol):
         R: Covariance of a measured position [m²], shape (3, 3).
     """
 
-    x: Array
-    P: Array
-    R: Array
+    def __init__(self, x: Array, P: Array, R: Array) -> None:
+        """Start from a state."""
+        self.x, self.P, self.R = x, P, R
+
+    def predict(self, F: Array, B: Array, Q: Array) -> None:
+        """Carry on by x ← F x + B with the covariance Q of what is added, shapes (n, n), (n,) and (n, n)."""
+        self.x = F @ self.x + B
+        self.P = F @ self.P @ F.T + Q
 
     def update(self, z: Array) -> None:
-        """Correct the state by a measured position [m], shape (3,)."""
+        """Correct the state by a measured position [m], shape (3,), the covariance in Joseph's form."""
+        gain = self.P[:, :3] @ np.linalg.inv(self.P[:3, :3] + self.R)
+        self.x = self.x + gain @ (z - self.x[:3])
+        kept = np.eye(len(self.x))
+        kept[:, :3] -= gain
+        self.P = kept @ self.P @ kept.T + gain @ self.R @ gain.T
 
 
 class BallModel(Protocol):
@@ -108,7 +118,7 @@ class BallModel(Protocol):
     def make_filter(self, state: Array, covariance: Array) -> BallFilter:
         """Return a filter that starts from a state, shape (n,), and its covariance, shape (n, n)."""
 
-    def advance(self, kalman: Any, duration: float) -> None:
+    def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter of `make_filter` predict `duration` [s] ahead."""
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
@@ -133,6 +143,13 @@ class BallModel(Protocol):
         Raises:
             TableFileError: A key is missing or unknown, or a value has the wrong shape or is not finite.
         """
+
+
+def chi_square_quantile(probability: float, freedom: int) -> float:
+    """Return what a χ² distributed number stays below with this probability; importing scipy.stats takes a second."""
+    from scipy.special import gammaincinv
+
+    return float(2.0 * gammaincinv(0.5 * freedom, probability))
 
 
 def white_acceleration(density: float, duration: float) -> Array:

@@ -24,7 +24,7 @@ def filter_flight(model: BallModel, flight: Flight) -> tuple[Array, Array]:
     states[start], covariances[start] = state, covariance
     for i in range(start + 1, len(flight.time)):
         state, covariance = model.propagate(state, covariance, flight.time[i] - flight.time[i - 1])
-        # The update of filterpy's filter, which the tracker uses, at a fifth of its time: fits run it 100,000 times.
+        # The update of the tracker's filter but for rounding, in a third of its time: fits run it 100,000 times.
         noise = model.measurement_covariance(state[:3])
         gain = np.linalg.solve(covariance[:3, :3] + noise, covariance[:3]).T
         state = state + gain @ (flight.position[i] - state[:3])

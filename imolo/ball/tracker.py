@@ -10,10 +10,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import chi2
 
 from imolo.ball.gate_kernel import nearest_marker
-from imolo.ball.model import BallFilter, BallModel
+from imolo.ball.model import BallFilter, BallModel, chi_square_quantile
 from imolo.config.model import Model, NonNegative, Positive
 from imolo_msgs import ball_state_t, marker_t, mocap_frame_t
 
@@ -144,9 +143,9 @@ class BallTracker:
     def __init__(self, model: BallModel, config: BallTrackerConfig | None = None) -> None:
         self.model = model
         self.config = config = config or BallTrackerConfig()
-        self._gate = float(chi2.ppf(config.gate_probability, 3))
-        self._restart_gate = float(chi2.ppf(config.gate_probability, 6))
-        self._launch_gate = float(chi2.ppf(config.gate_probability, 3 * config.launch_frames - 6))
+        self._gate = chi_square_quantile(config.gate_probability, 3)
+        self._restart_gate = chi_square_quantile(config.gate_probability, 6)
+        self._launch_gate = chi_square_quantile(config.gate_probability, 3 * config.launch_frames - 6)
         self._margin = config.gate_margin**2
         self._warned: set[str] = set()
         self.reset()

@@ -6,9 +6,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from imolo.config.experiment import ExperimentConfig
@@ -21,13 +20,15 @@ from imolo.machine.files import TEMPORARY, whole_file
 from imolo.machine.folder_lock import claim_folder
 from imolo.messaging.log import LOG_SUFFIX
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 PACKAGES = (
     "imolo",
     "lcm",
     "numpy",
     "scipy",
     "scikit-learn",
-    "filterpy",
     "numba",
     "mujoco-core",
     "pybullet",
@@ -108,7 +109,7 @@ class ResultsFolder:
         with self.file(f"configs/{config.backend.name}.yaml") as file:
             file.write(dump_yaml(content).encode())
 
-    def save_figure(self, name: str, figure: Figure) -> Path:
+    def save_figure(self, name: str, figure: "Figure") -> Path:
         """Write a figure to a file of this name among the figures, and return the file."""
         with self.file(f"figures/{name}") as file:
             figure.savefig(file, format=Path(name).suffix[1:], bbox_inches="tight", facecolor="white")

@@ -6,7 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from imolo.contracts.engine import Array
 from imolo.errors import BackendError
@@ -72,6 +71,8 @@ def read_hull(path: Path, scale: tuple[float, float, float]) -> Mesh:
 
 @lru_cache(maxsize=256)
 def _read_hull(path: Path, scale: tuple[float, float, float], _: int) -> Mesh:
+    from scipy.spatial import ConvexHull, QhullError
+
     points = _read_points(path) * scale
     if len(points) == 0 or not np.isfinite(points).all():
         raise BackendError(f"mesh {path} has no points or some that are not numbers; export it again")

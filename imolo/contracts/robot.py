@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from imolo.contracts.engine import Ball, BoxShape, Scene
 from imolo.contracts.urdf import RobotModel, read_urdf
@@ -233,6 +232,8 @@ class Body:
 
     def ready_markers(self) -> dict[str, Vector]:
         """Return where the markers are in the ready pose, by name, in the world [m]."""
+        from scipy.spatial.transform import Rotation
+
         position, (w, x, y, z) = self.base(np.array(self.ready)) if callable(self.base) else self.base
         poses = self.model.link_poses(
             dict(zip(self.joint_names, self.ready, strict=True)),

@@ -14,7 +14,6 @@ from typing import Literal, get_args
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imolo.contracts.engine import Array
 from imolo.contracts.mesh import Mesh, find_mesh, read_hull
@@ -167,6 +166,8 @@ class RobotModel:
         Returns:
             Position [m], shape (3,), and rotation matrix, shape (3, 3), of each link frame in the world.
         """
+        from scipy.spatial.transform import Rotation
+
         poses = {self.base: (base_position, base_rotation)}
         waiting = list(self.joints.values())
         while waiting:
@@ -272,6 +273,8 @@ def _number(element: ElementTree.Element | None, key: str, default: str = "") ->
 
 
 def _origin(element: ElementTree.Element) -> tuple[Array, Array]:
+    from scipy.spatial.transform import Rotation
+
     origin = element.find("origin")
     # URDF's roll, pitch, yaw turn about the fixed axes x, y, z in this order.
     rotation = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0", 3)).as_matrix()

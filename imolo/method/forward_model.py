@@ -7,13 +7,11 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, JsonValue, model_validator
-from sklearn.base import clone
-from sklearn.gaussian_process import GaussianProcessRegressor
 
 from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.motion import MotionTemplate
-from imolo.method.regressors import GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
+from imolo.method.regressors import PROCESS, GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
 
 Array = NDArray[np.float64]
 
@@ -200,6 +198,8 @@ class ForwardModel:
             TrainingDataError: There are no samples, the shapes disagree, or a value is not finite.
             ConfigError: The estimator refuses a parameter or the number of samples.
         """
+        from sklearn.base import clone
+
         training = TrainingData(np.asarray(theta), np.asarray(time), np.asarray(position))
         if training.theta.shape[1] != len(self.template.parameters):
             raise TrainingDataError(
@@ -212,7 +212,7 @@ class ForwardModel:
         inputs = input_scaling.apply(features)
         targets = output_scaling.apply(outputs)
         regressor = clone(self._unfitted)
-        if isinstance(regressor, GaussianProcessRegressor):
+        if self.config.estimator == PROCESS:
             noise = self._noise_of_the_prior(training, output_scaling) + regressor.alpha
             if len(inputs) > SEARCHED_SAMPLES and regressor.optimizer is not None:
                 some = slice(None, None, -(-len(inputs) // SEARCHED_SAMPLES))
@@ -288,8 +288,10 @@ class ForwardModel:
             time: Time since motion onset [s], shape (N,).
             position: Hand positions in the world frame [m], shape (N, 3).
         """
+        from sklearn.base import clone
+
         other = ForwardModel(self.config, self.template, self.prior)
-        if isinstance(self._unfitted, GaussianProcessRegressor):
+        if self.config.estimator == PROCESS:
             # 15 searches for a kernel take seconds, and one trial less would not find another.
             other._unfitted = clone(self._unfitted).set_params(kernel=self._regressor.kernel_, optimizer=None)
         return other.fit(theta, time, position)

@@ -6,16 +6,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
-from sklearn.multioutput import MultiOutputRegressor
-from sklearn.svm import SVR, NuSVR
-from sklearn.utils import all_estimators, get_tags
 from threadpoolctl import ThreadpoolController
 
 from imolo.errors import ConfigError, did_you_mean
@@ -24,22 +19,42 @@ Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-# Products this small lose more to the threads of BLAS than they gain: six times on a busy machine. One thread also
-# sums in the same order everywhere.
-_blas = ThreadpoolController()
+# scikit-learn is imported by what fits: a planner, which has a table, does without. All of it takes seconds, so that
+# these are not looked for.
+PROCESS = "GaussianProcessRegressor"
+USUAL = {"SVR": "sklearn.svm", PROCESS: "sklearn.gaussian_process", "MLPRegressor": "sklearn.neural_network"}
 
 AT_A_BOUND = "is close to the specified"  # in scikit-learn's words for a kernel's parameter
 CHUNK = 2048  # points: a chunk times 161 centres is 2.6 MB and stays in the cache
 
 
-def one_thread() -> Any:
-    """Return a context in which BLAS uses one thread."""
-    return _blas.limit(limits=1, user_api="blas")
-
-
 @cache
-def _regressor_classes() -> dict[str, type]:
-    return dict(all_estimators(type_filter="regressor"))
+def _libraries() -> ThreadpoolController:
+    # It knows those alone that are loaded when it is made.
+    import sklearn.utils  # noqa: F401
+
+    return ThreadpoolController()
+
+
+def one_thread() -> Any:
+    """Return a context in which BLAS and OpenMP use one thread, and so sum in the same order everywhere.
+
+    Products this small lose more to the threads than they gain: six times on a busy machine.
+    """
+    return _libraries().limit(limits=1)
+
+
+def _regressor_class(name: str) -> type[Any]:
+    if name in USUAL:
+        return getattr(import_module(USUAL[name]), name)  # type: ignore[no-any-return]
+    from sklearn.utils import all_estimators
+
+    classes: dict[str, type[Any]] = dict(all_estimators(type_filter="regressor"))
+    if name not in classes:
+        raise ConfigError(
+            f"unknown estimator {name!r}{did_you_mean(name, classes)}; give the class name of a scikit-learn regressor"
+        )
+    return classes[name]
 
 
 def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int, kernel: str = "rbf") -> Any:
@@ -57,26 +72,26 @@ def make_regressor(name: str, parameters: Mapping[str, Any], num_inputs: int, ke
     Raises:
         ConfigError: There is no such regressor, or it has no such parameter.
     """
-    classes = _regressor_classes()
-    if name not in classes:
-        raise ConfigError(
-            f"unknown estimator {name!r}{did_you_mean(name, classes)}; give the class name of a scikit-learn regressor"
-        )
+    from sklearn.multioutput import MultiOutputRegressor
+    from sklearn.utils import get_tags
+
     try:
-        estimator = classes[name]()
+        estimator = _regressor_class(name)()
     except TypeError as error:
         raise ConfigError(f"estimator {name} wraps other estimators; give a regressor that stands alone") from error
     known = estimator.get_params()
     for parameter in parameters:
         if parameter not in known:
             raise ConfigError(f"estimator {name} has no parameter {parameter!r}{did_you_mean(parameter, known)}")
-    if isinstance(estimator, GaussianProcessRegressor):
+    if name == PROCESS:
         estimator.set_params(kernel=_one_length_scale_per_input(num_inputs, kernel))
     estimator.set_params(**parameters)
     return estimator if get_tags(estimator).target_tags.multi_output else MultiOutputRegressor(estimator)
 
 
 def _one_length_scale_per_input(num_inputs: int, kernel: str) -> Any:
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
+
     # For standardised inputs and outputs: from a tenth of the spread of the data to nearly constant.
     signal = ConstantKernel(1.0, (1e-3, 1e4))
     scales = np.ones(num_inputs), (1e-1, 1e3)
@@ -97,6 +112,8 @@ def fit_quietly(regressor: Any, inputs: Array, outputs: Array, name: str) -> Non
     Raises:
         ConfigError: scikit-learn refuses a parameter or the number of samples.
     """
+    from sklearn.exceptions import ConvergenceWarning
+
     with one_thread(), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConvergenceWarning)
         try:
@@ -169,10 +186,12 @@ def gaussian_sum(regressor: Any, inputs: Array) -> GaussianSum | None:
         regressor: From `make_regressor`, fitted.
         inputs: The inputs it was fitted to, shape (N, D).
     """
+    from sklearn.multioutput import MultiOutputRegressor
+
     # JSON has no kernels, so the kernel of a configured process is the one made here.
-    if isinstance(regressor, GaussianProcessRegressor) and not regressor.normalize_y:
+    if type(regressor).__name__ == PROCESS and not regressor.normalize_y:
         signal, shape = regressor.kernel_.k1.k1, regressor.kernel_.k1.k2
-        if isinstance(shape, Matern):
+        if type(shape).__name__ != "RBF":
             return None
         return GaussianSum(
             centre=inputs,
@@ -200,4 +219,8 @@ def gaussian_sum(regressor: Any, inputs: Array) -> GaussianSum | None:
 
 
 def _has_numeric_rbf(estimator: Any) -> bool:
-    return isinstance(estimator, SVR | NuSVR) and estimator.kernel == "rbf" and isinstance(estimator.gamma, float | int)
+    return (
+        type(estimator).__name__ in ("SVR", "NuSVR")
+        and estimator.kernel == "rbf"
+        and isinstance(estimator.gamma, float | int)
+    )

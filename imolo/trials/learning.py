@@ -5,7 +5,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import qmc
 
 from imolo.ball.fit import fit_ball_model
 from imolo.ball.model import BallModel
@@ -25,6 +24,8 @@ def spread_motions(config: ExperimentConfig, count: int) -> tuple[Theta, ...]:
         config: Of the experiment, for the grids of its methods and its seed.
         count: Number of motions.
     """
+    from scipy.stats import qmc
+
     bounds = np.array([method.grid.bounds(config.motion) for method in config.methods.values()])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
     # The first parameter changes fastest.

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from imolo.ball.fit import fit_ball_model
-from imolo.ball.model import BallModelConfig
+from imolo.ball.model import BallModelConfig, chi_square_quantile
 from imolo.ball.tracker import BallTracker, BallTrackerConfig
 from imolo_msgs import ball_state_t
 
@@ -32,6 +32,12 @@ def scene(rng, swing=0.0, duration=1.0):
     hand = np.concatenate([swung[0, :3] if swing else start[:3], np.zeros(3)])
     flight = fly(start, np.arange(0.0, duration, 1.0 / RATE))
     return np.concatenate([np.tile(hand, (REST, 1)), swung, flight]), REST + len(before)
+
+
+@pytest.mark.parametrize("freedom", [3, 6, 12])
+def test_gates_are_quantiles_of_chi_square(freedom):
+    # scipy works out both by the same function.
+    assert chi_square_quantile(0.999, freedom) == chi2.ppf(0.999, freedom)
 
 
 def utime(index):

@@ -9,7 +9,6 @@ from imolo.config.model import Model
 from imolo.contracts.engine import Ball, Engine
 from imolo.contracts.robot import Body
 from imolo.errors import BackendError
-from imolo_backends.conformance.reference import Mechanism
 from imolo_backends.engines.engine_checks import base_rotation
 
 DURATION = 0.02  # [s]
@@ -33,6 +32,8 @@ def check_start_up(engine_class: type[Engine], options: Model, timestep: float, 
     Raises:
         BackendError: The ball is damped or accelerated, or a joint leaves its range.
     """
+    from imolo_backends.conformance.reference import Mechanism
+
     name = engine_class.__name__
     low, high = robot.joint_limits.T
     ready = np.array(robot.ready)

@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from imolo.config.model import Fraction, Model, NonNegative, Positive, Vector
 from imolo.config.reading import read_model
@@ -116,6 +115,8 @@ def fit(
     Raises:
         CalibrationError: There are fewer than three markers, they lie on a line, do not fit, or Motive is not y-up.
     """
+    from scipy.spatial.transform import Rotation
+
     limits = limits or CalibrationLimits()
     names = sorted(measured.keys() & known.keys())
     listed = ", ".join(names) or "none"
