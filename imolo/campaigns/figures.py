@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -164,14 +165,9 @@ def draw_reach(named: dict[str, ExperimentConfig], folder: ResultsFolder, method
         grid = figure.subplots(2, len(named), squeeze=False, sharex="row", sharey="row")
         for column, name in zip(grid.T, named, strict=True):
             table = _table(named[name], folder, method)
-            position, theta = table.position, table.theta
-            side = column[0].scatter(
-                position[:, 0], position[:, 2], c=theta[:, -1], s=1.5, cmap="viridis", rasterized=True
-            )
-            behind = column[1].scatter(
-                position[:, 1], position[:, 2], c=theta[:, 0], s=1.5, cmap="coolwarm", rasterized=True
-            )
-            column[0].set_title(f"{name}: {len(np.unique(position, axis=0)):,} grid points")
+            side = _scatter_seen(column[0], table, (0, 2), table.theta[:, -1], "viridis")
+            behind = _scatter_seen(column[1], table, (1, 2), table.theta[:, 0], "coolwarm")
+            column[0].set_title(f"{name}: {table.num_grid_points:,} grid points")
             column[0].set_xlabel("x [m]")
             column[1].set_xlabel("y [m]")
         first, *_, last = (*parameters, *parameters)
@@ -183,6 +179,16 @@ def draw_reach(named: dict[str, ExperimentConfig], folder: ResultsFolder, method
             axes.set_ylabel("z [m]")
         figure.suptitle(f"Where the {hand} can be, method {method!r}, by the parameters of the motion")
     return figure
+
+
+def _scatter_seen(axes: Axes, table: LookupTable, plane: tuple[int, int], color: Array, cmap: str) -> PathCollection:
+    """Draw of the tuples that lie behind each other the last one alone, which covers the others."""
+    places = np.rint(table.position[::-1, plane] / table.grid.spacing).astype(np.int64)
+    first, second = (places - places.min(axis=0)).T
+    _, seen = np.unique(first * (second.max() + 1) + second, return_index=True)
+    last = np.sort(len(color) - 1 - seen)
+    x, y = table.position[last][:, plane].T
+    return axes.scatter(x, y, c=color[last], vmin=color.min(), vmax=color.max(), s=1.5, cmap=cmap, rasterized=True)
 
 
 def draw_hit_rates(comparison: Comparison, config: ExperimentConfig) -> Figure:

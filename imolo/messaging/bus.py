@@ -1,16 +1,13 @@
 """The message bus: LCM with our channels, and errors that say what to do."""
 
 import logging
-import select
 import struct
 from collections.abc import Callable
 from typing import Any
 
-import lcm
-
 from imolo.errors import BusError, did_you_mean
-from imolo.messaging import udpm
 from imolo.messaging.channels import CHANNELS
+from imolo.messaging.transport import ANY, MEMORY, LcmTransport, MemoryTransport, Transport
 
 logger = logging.getLogger(__name__)
 
@@ -19,26 +16,19 @@ UNREADABLE = (ValueError, struct.error, MemoryError, OverflowError)
 
 
 class Bus:
-    """Typed publish and subscribe over one LCM instance.
+    """Typed publish and subscribe.
 
     `memq://` stays inside this instance, in strict order: what a handler publishes is delivered after what was already
-    waiting. Every other LCM URL works as well. Queues are unbounded: LCM's own limit of 30 would keep the oldest
-    messages and lose the newest without a word.
+    waiting. Every other URL is LCM's.
     """
 
-    def __init__(self, url: str = "memq://") -> None:
+    def __init__(self, url: str = MEMORY) -> None:
         """Open the bus.
 
         Raises:
             BusError: LCM cannot open `url`, no route leads to it, or its port is occupied.
         """
-        if url.startswith(udpm.SCHEME):
-            url = udpm.check_url(url)
-        try:
-            self._lcm = lcm.LCM(url)
-        except RuntimeError as error:
-            raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
-        self._subscriptions: list[Any] = []
+        self._transport: Transport = MemoryTransport() if url.startswith(MEMORY) else LcmTransport(url)
         self._strange: set[str] = set()
         self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
 
@@ -73,7 +63,7 @@ class Bus:
             else:
                 handler(message)
 
-        self._subscribe(channel, hear)
+        self._transport.subscribe(channel, hear)
 
     def pass_over(self, channel: str) -> None:
         """Say once that a channel carries what is no message of its type."""
@@ -86,11 +76,11 @@ class Bus:
 
     def publish_raw(self, channel: str, data: bytes) -> None:
         """Send a message that is already encoded."""
-        self._lcm.publish(channel, data)
+        self._transport.publish(channel, data)
 
-    def subscribe_raw(self, handler: Callable[[str, bytes], None], channel: str = ".*") -> None:
+    def subscribe_raw(self, handler: Callable[[str, bytes], None], channel: str = ANY) -> None:
         """Call `handler` with channel and bytes of every message of the channel, or of all, from within `drain`."""
-        self._subscribe(channel, handler)
+        self._transport.subscribe(channel, handler)
 
     def subscribe_newest(
         self, channel: str, handler: Callable[[str, bytes], None], skipped: Callable[[bytes], None] = lambda _: None
@@ -105,14 +95,12 @@ class Bus:
                 skipped(self._newest[channel][1])
             self._newest[channel] = (handler, data)
 
-        self._subscribe(channel, keep)
+        self._transport.subscribe(channel, keep)
 
     def drain(self) -> None:
         """Handle every waiting message, those included that handlers publish meanwhile."""
-        handle = self._lcm.handle_timeout
         while True:
-            while handle(0) > 0:
-                pass
+            self._transport.handle_waiting()
             if not self._newest:
                 return
             newest, self._newest = self._newest, {}
@@ -121,22 +109,12 @@ class Bus:
 
     def wait(self, timeout: float) -> None:
         """Wait for a message for `timeout` [s] at most, and handle all that is there."""
-        if select.select((self._lcm.fileno(),), (), (), max(timeout, 0.0))[0]:
+        if self._transport.wait(max(timeout, 0.0)):
             self.drain()
 
     def close(self) -> None:
-        """Let go of all handlers.
-
-        They refer to what refers to this bus, and LCM takes no part in Python's collection of such circles: its two
-        file descriptors would stay open, and from 1024 on its `select` crashes.
-        """
-        while self._subscriptions:
-            self._lcm.unsubscribe(self._subscriptions.pop())
-
-    def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
-        subscription = self._lcm.subscribe(channel, handler)
-        subscription.set_queue_capacity(0)
-        self._subscriptions.append(subscription)
+        """Let go of all handlers."""
+        self._transport.close()
 
 
 def _message_type(channel: str) -> type[Any]:

@@ -226,6 +226,11 @@ class LookupTable:
         """Return the number of tuples M."""
         return len(self.time)
 
+    @property
+    def num_grid_points(self) -> int:
+        """Number of grid points that the hand reaches."""
+        return int(np.count_nonzero(np.diff(self._cell_start)))
+
     def query(self, position: ArrayLike, time: float, executed: Executed | None = None) -> TableHit | None:
         """Find the motion that brings the hand to a position in time (Sec. IV-A, Fig. 4c-e).
 

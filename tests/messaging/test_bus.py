@@ -131,3 +131,10 @@ def test_closed_bus_gives_back_its_file_descriptors() -> None:
 
     first = used_up()
     assert [used_up() for _ in range(5)] == [first] * 5
+
+
+def test_bus_in_memory_opens_no_file() -> None:
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    buses = [Bus() for _ in range(20)]
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    del buses

@@ -41,7 +41,7 @@ def record(seed: int = 0, frames: int = FRAMES, **faults: Any) -> list[mocap_fra
     mocap = Mocap(MocapConfig(**{**PERFECT, **faults}), BODY, np.random.default_rng(seed))
     for number in range(frames):
         mocap.expose(PERIOD * number, STATE)
-    return mocap.deliver(2**62)
+    return [mocap_frame_t.decode(frame) for frame in mocap.deliver(2**62)]
 
 
 def labelled(frame: mocap_frame_t) -> dict[int, tuple[float, ...]]:
@@ -88,7 +88,7 @@ def test_frame_is_delivered_when_its_latency_is_over_and_not_before() -> None:
     mocap = Mocap(MocapConfig(**PERFECT, latency=0.005), BODY, np.random.default_rng(0))
     mocap.expose(1000, STATE)
     assert mocap.deliver(5999) == []
-    assert [frame.utime for frame in mocap.deliver(6000)] == [1000]
+    assert [mocap_frame_t.decode(frame).utime for frame in mocap.deliver(6000)] == [1000]
     assert mocap.deliver(2**62) == []
 
 

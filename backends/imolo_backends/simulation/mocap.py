@@ -7,7 +7,8 @@ import numpy as np
 from imolo.config.simulation import MocapConfig
 from imolo.contracts.engine import Array, EngineState
 from imolo.contracts.robot import Body
-from imolo_msgs import marker_t, mocap_frame_t
+from imolo_backends.simulation.streams import MARKER, pack_frame
+from imolo_msgs import marker_t
 
 GHOST_DISTANCE = 3.0  # [m] from the base along each axis at most, assumed: the capture volume
 
@@ -25,46 +26,37 @@ class Mocap:
         """
         self._config = config
         self._rng = rng
-        self._markers = body.markers
+        self._label = np.array([marker.marker_id for marker in body.markers])
         self._link = np.array([body.link_of(marker) for marker in body.markers])
         self._offset = np.array([marker.offset for marker in body.markers])
         self._frame_number = 0
-        self._waiting: deque[tuple[int, mocap_frame_t]] = deque()
+        self._waiting: deque[tuple[int, bytes]] = deque()
 
     def expose(self, utime: int, state: EngineState) -> None:
         """Take a frame of the state at `utime` [µs]."""
-        config, count = self._config, len(self._markers)
+        config, count = self._config, len(self._label)
         self._frame_number += 1
         # Always the same number of draws, so that one lost marker does not change the rest of the trial.
         normal = self._rng.standard_normal((count + 1, 3))
-        chance = self._rng.random(2 * count + 6).tolist()
-        ball_chance, frame_chance, ghost_chance, *ghost_place = chance[2 * count :]
+        chance = self._rng.random(2 * count + 6)
+        ball_chance, frame_chance, ghost_chance = chance[2 * count : 2 * count + 3].tolist()
         if frame_chance < config.frame_dropout:
             return
-        robot = (self.true_markers(state) + config.marker_noise * normal[:count]).tolist()
-        markers = [
-            _marker(marker.marker_id if label_chance >= config.unlabelled else marker_t.UNLABELLED, position)
-            for marker, position, seen_chance, label_chance in zip(
-                self._markers, robot, chance[:count], chance[count : 2 * count], strict=True
-            )
-            if seen_chance >= config.marker_dropout
-        ]
-        if ball_chance >= config.ball_dropout:
-            markers.append(
-                _marker(marker_t.UNLABELLED, (state.ball_position + config.ball_noise * normal[count]).tolist())
-            )
-        if ghost_chance < config.ghost:
-            ghost = state.link_position[0] + GHOST_DISTANCE * (2.0 * np.array(ghost_place) - 1.0)
-            markers.append(_marker(marker_t.UNLABELLED, ghost.tolist()))
-        frame = mocap_frame_t()
-        frame.utime = utime
-        frame.frame_number = self._frame_number
-        frame.num_markers = len(markers)
-        frame.markers = markers
+        # The robot's markers, the ball, what is not there.
+        markers, seen = np.empty(count + 2, MARKER), np.empty(count + 2, dtype=bool)
+        label, place = markers["marker_id"], markers["marker_position"]
+        label[:] = marker_t.UNLABELLED
+        label[:count] = np.where(chance[count : 2 * count] >= config.unlabelled, self._label, marker_t.UNLABELLED)
+        place[:count] = self.true_markers(state) + config.marker_noise * normal[:count]
+        place[count] = state.ball_position + config.ball_noise * normal[count]
+        place[count + 1] = state.link_position[0] + GHOST_DISTANCE * (2.0 * chance[2 * count + 3 :] - 1.0)
+        seen[:count] = chance[:count] >= config.marker_dropout
+        seen[count:] = ball_chance >= config.ball_dropout, ghost_chance < config.ghost
+        frame = pack_frame(utime, self._frame_number, markers[seen])
         self._waiting.append((utime + round(config.latency * 1e6), frame))
 
-    def deliver(self, utime: int) -> list[mocap_frame_t]:
-        """Return the frames whose latency is over at `utime` [µs]."""
+    def deliver(self, utime: int) -> list[bytes]:
+        """Return the frames whose latency is over at `utime` [µs], each a `mocap_frame_t`."""
         frames = []
         while self._waiting and self._waiting[0][0] <= utime:
             frames.append(self._waiting.popleft()[1])
@@ -74,10 +66,3 @@ class Mocap:
         """Return the positions of all robot markers without any fault [m], shape (M, 3)."""
         rotation = state.link_rotation[self._link]
         return np.asarray(state.link_position[self._link] + np.einsum("mij,mj->mi", rotation, self._offset))
-
-
-def _marker(marker_id: int, position: list[float]) -> marker_t:
-    marker = marker_t()
-    marker.marker_id = marker_id
-    marker.marker_position = position
-    return marker

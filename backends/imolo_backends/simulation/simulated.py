@@ -26,7 +26,8 @@ from imolo_backends.simulation.ball_drag import BallDrag
 from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
-from imolo_msgs import actuator_command_t, actuator_state_t, trial_event_t, truth_ball_t, truth_robot_t
+from imolo_backends.simulation.streams import Streams
+from imolo_msgs import actuator_command_t, trial_event_t
 
 logger = logging.getLogger(__name__)
 
@@ -59,19 +60,10 @@ class SimulatedBackend:
         self._touching = frozenset(effector.link for effector in body.effectors)
         self._links = frozenset(body.link_names)
         self._feet = [(body.link_names.index(foot.link), foot) for foot in body.feet]
-        middles = {marker.name: marker for marker in body.markers}
-        self._hands = [
-            (body.link_of(middles[effector.name]), np.array(middles[effector.name].offset))
-            for effector in body.effectors
-        ]
         self._step = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._happened: set[EventName] = set()
-        # `Bus.publish` encodes at once, so that one message of each stream is enough.
-        self._sensed = actuator_state_t()
-        self._truth_robot = truth_robot_t()
-        self._truth_ball = truth_ball_t()
 
     @property
     def utime(self) -> int:
@@ -99,7 +91,8 @@ class SimulatedBackend:
         self._drag = BallDrag(task.drag())
         self._schedule = CommandSchedule(self._channels)
         self._mocap = Mocap(config.mocap, body, trial.generator("mocap"))
-        self._sensor_rng = trial.generator("pressure")
+        noise, count = config.actuators.sensor_noise, len(self._channels)
+        self._streams = Streams(bus, body, noise, count, trial.generator("pressure"))
         self._ball_mass = ball.mass
         self._hold_force = 0.0 - ball.mass * np.array(scene.gravity)
         self._released = False
@@ -183,34 +176,11 @@ class SimulatedBackend:
             self._announce_once(EventName.ONSET, np.zeros(3), f"{late} us after the commanded onset")
 
     def _tell_sensors(self) -> None:
-        told = self._sensed
-        told.utime = self.utime
-        told.state_sequence += 1
-        noise = self._sensor_rng.normal(0.0, self._config.actuators.sensor_noise, len(self._channels))
-        told.num_measured = len(noise)
-        told.measured = (self._actuators.measured() + noise).tolist()
-        self._bus.publish(channels.ACTUATOR_STATE, told)
+        self._streams.tell_sensors(self.utime, self._actuators.measured())
 
     def _tell_truth(self) -> None:
-        state = self._read()
-        utime = self.utime
-        self._tell_robot(utime, state)
-        self._bus.publish(channels.TRUTH_ROBOT, self._truth_robot)
-        _tell_ball(self._truth_ball, utime, state)
-        self._bus.publish(channels.TRUTH_BALL, self._truth_ball)
-
-    def _tell_robot(self, utime: int, state: EngineState) -> None:
-        truth = self._truth_robot
-        truth.utime = utime
-        truth.base_position = state.link_position[0].tolist()
-        truth.base_quaternion = state.base_quaternion.tolist()
-        truth.num_joints = len(state.joint_angle)
-        truth.joint_angle = state.joint_angle.tolist()
-        truth.joint_velocity = state.joint_velocity.tolist()
-        truth.num_effectors = len(self._hands)
-        truth.effector_position = [
-            (state.link_position[link] + state.link_rotation[link].dot(offset)).tolist() for link, offset in self._hands
-        ]
+        state = self._read()  # first, since it may announce what happened
+        self._streams.tell_truth(self.utime, state)
 
     def _expose(self) -> None:
         self._mocap.expose(self.utime, self._read())
@@ -218,7 +188,7 @@ class SimulatedBackend:
 
     def _deliver(self) -> None:
         for frame in self._mocap.deliver(self.utime):
-            self._bus.publish(channels.MOCAP, frame)
+            self._bus.publish_raw(channels.MOCAP, frame)
 
     def _read(self) -> EngineState:
         if self._state_step == self._step:
@@ -312,9 +282,3 @@ def draw_joint_offset(body: Body, deviation: float, rng: np.random.Generator) ->
     inwards = np.where(high - ready < ready - low, -1.0, 1.0)
     offset: Array = inwards * np.abs(rng.normal(0.0, 1.0, len(ready))) * deviation
     return offset
-
-
-def _tell_ball(truth: truth_ball_t, utime: int, state: EngineState) -> None:
-    truth.utime = utime
-    truth.true_ball_position = state.ball_position.tolist()
-    truth.true_ball_velocity = state.ball_velocity.tolist()
