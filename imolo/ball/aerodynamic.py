@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from imolo.ball.aerodynamic_kernel import fly, normal_equations, position_covariances, transition
+from imolo.ball.aerodynamic_kernel import LONGEST_STEP, fly, normal_equations, position_covariances, transition
 from imolo.ball.flight import GRAVITY
 from imolo.ball.model import DAMAGED, BallFilter, PredictionError, chi_square_quantile
 from imolo.config.model import Model, NonNegative, Positive, Vector
@@ -94,8 +94,7 @@ class AerodynamicBallModel:
         state, covariance, residuals = most_likely_start(time, position, std, mean, spread, self.gravity)
         misfit = float(np.sum((residuals / std) ** 2))
         state, covariance = self._with_launch_prior(state, covariance)
-        last, F, Q = transition(state, float(time[-1] - time[0]), self.acceleration_density, self.gravity)
-        return last, F @ covariance @ F.T + Q, misfit
+        return *self.propagate(state, covariance, float(time[-1] - time[0])), misfit
 
     def _with_launch_prior(self, state: Array, covariance: Array) -> tuple[Array, Array]:
         """Fuse a start with the velocity of release, unless the two contradict each other."""
@@ -115,14 +114,18 @@ class AerodynamicBallModel:
 
     def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
-        state, F, Q = transition(kalman.x, duration, self.acceleration_density, self.gravity)
+        state, F, Q = self._transition(kalman.x, duration)
         kalman.predict(F, state - F @ kalman.x, Q)
         kalman.R = self.measurement_covariance(state[:3])
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
         """Return state, shape (n,), and covariance, shape (n, n), `duration` [s] later."""
-        later, F, Q = transition(state, duration, self.acceleration_density, self.gravity)
+        later, F, Q = self._transition(state, duration)
         return later, F @ covariance @ F.T + Q
+
+    def _transition(self, state: Array, duration: float) -> tuple[Array, Array, Array]:
+        # Always with the same kinds of arguments: each other one would be compiled for four seconds.
+        return transition(state, float(duration), self.acceleration_density, self.gravity, LONGEST_STEP)  # type: ignore[no-any-return]
 
     def predict(self, state: Array, steps: int) -> Array:
         """Return the states 1, 2, ... `steps` time steps later, shape (steps, n)."""

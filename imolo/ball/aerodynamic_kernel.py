@@ -96,7 +96,7 @@ def fly(state: Array, step: float, steps: int, gravity: Array) -> Array:
 
 @njit(cache=True)
 def transition(
-    state: Array, duration: float, density: float, gravity: Array, longest_step: float = LONGEST_STEP
+    state: Array, duration: float, density: float, gravity: Array, longest_step: float
 ) -> tuple[Array, Array, Array]:
     """Carry a state over any duration [s], which may be negative, in steps of `longest_step` [s] at most.
 
@@ -201,7 +201,7 @@ def normal_equations(state: Array, time: Array, position: Array, gravity: Array)
     for i in range(len(time)):
         if i:
             half = 0.5 * (time[i] - time[i - 1])
-            state, one, _ = transition(state, 2.0 * half, 0.0, gravity)
+            state, one, _ = transition(state, 2.0 * half, 0.0, gravity, LONGEST_STEP)
             # Gravity pulls half before a step and half after it, which is right to the square of the step.
             for axis in range(3):
                 sensitivity[3 + axis, n + axis] += half

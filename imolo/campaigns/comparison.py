@@ -1,5 +1,6 @@
 """The comparison: the same motions, balls and methods on several backends (Sec. VII, for each of them)."""
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -29,7 +30,7 @@ from imolo.messaging.log import read_log
 from imolo.method.learned import load_learned
 from imolo.trials.learning import build_table, learn_ball, learn_motions
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult, judge_campaign, judge_trial
-from imolo.trials.recordings import hand_in_swing
+from imolo.trials.recordings import SHOWN, hand_in_swing
 
 Array = NDArray[np.float64]
 Group = TypeVar("Group", bound=Hashable)
@@ -149,15 +150,19 @@ def learn(
     for config in configs:
         # Not before: a folder that holds another campaign is refused as it is.
         folder.save_config(config)
-        progress(f"{config.backend.name}: tables", 0, 1)
+        progress(f"{config.backend.name}: tables", 0, len(config.methods))
     # Processes that are left of another campaign may be in another folder.
     absolute = ResultsFolder(folder.path.absolute())
     built = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-        delayed(_build_tables)(config, list(map(with_absolute_paths, tasks[config.backend.name])), absolute)
+        delayed(_build_table)(config, method, list(map(with_absolute_paths, tasks[config.backend.name])), absolute)
         for config in configs
+        for method in config.methods
     )
+    done: Counter[str] = Counter()
+    methods = {config.backend.name: len(config.methods) for config in configs}
     for name in built:
-        progress(f"{name}: tables", 1, 1)
+        done[name] += 1
+        progress(f"{name}: tables", done[name], methods[name])
     return _disagreement(tasks)
 
 
@@ -226,17 +231,16 @@ def _run_groups(
     return {group: [timings[id(task)] for task in tasks] for group, tasks in groups.items()}
 
 
-def _build_tables(config: ExperimentConfig, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
+def _build_table(config: ExperimentConfig, method_name: str, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
     leave_interrupts_to_the_parent()
-    name = config.backend.name
+    name, method = config.backend.name, config.methods[method_name]
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):
         throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]
         data = learn_motions(config, [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING])
-        for method_name, method in config.methods.items():
-            path = folder.table(name, method_name)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            build_table(config, method, data, learn_ball(method, throws)).save(path)
+        path = folder.table(name, method_name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        build_table(config, method, data, learn_ball(method, throws)).save(path)
     return name
 
 
@@ -252,7 +256,7 @@ def _disagreement(learning: Mapping[str, Sequence[TrialTask]]) -> dict[str, Stat
 
 def _training_hands(tasks: Sequence[TrialTask]) -> dict[int, Array]:
     training = [task for task in tasks if task.trial.kind is TrialKind.TRAINING]
-    hands = {t.trial.index: hand_in_swing(read_log(t.log_path), t.config) for t in training}
+    hands = {t.trial.index: hand_in_swing(read_log(t.log_path, SHOWN), t.config) for t in training}
     return {index: hand for index, hand in hands.items() if hand is not None}
 
 

@@ -23,7 +23,7 @@ from imolo.messaging import channels
 from imolo.messaging.log import Log, read_log
 from imolo.method.commands import Commands
 from imolo.method.table import LookupTable
-from imolo.trials.recordings import last_plan, marker_track
+from imolo.trials.recordings import SHOWN, last_plan, marker_track
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,8 @@ def draw_trajectories(named: dict[str, ExperimentConfig], folder: ResultsFolder,
         grid = figure.subplots(len(named), 3, squeeze=False, width_ratios=(1.9, 1.2, 0.9), sharex="col", sharey="row")
         for row, (name, config) in zip(grid, named.items(), strict=True):
             training = _table(config, folder, method).training.position
-            logs = [read_log(task.log_path) for task in hit_tasks(config, folder.hits(name, method), method, Path())]
+            tasks = hit_tasks(config, folder.hits(name, method), method, Path())
+            logs = [read_log(task.log_path, (*SHOWN, channels.BALL_STATE)) for task in tasks]
             _draw_paths(row, logs, config, training)
             row[0].set_ylabel(f"{name}\nz [m]")
         for axes, title in zip(grid[0], ("ball, side view", f"{hand}, side view", f"{hand}, from behind"), strict=True):

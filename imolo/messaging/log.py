@@ -1,7 +1,7 @@
 """Logs: every message of a trial in an LCM event log that lcm-logplayer can play, and the way back."""
 
 import struct
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,15 +76,19 @@ class Log:
     damage: list[Damage] = field(default_factory=list)
 
 
-def read_log(path: Path) -> Log:
+def read_log(path: Path, only: Collection[str] = CHANNELS) -> Log:
     """Read and decode a log; channels that are not ours are passed over, damage is skipped and told in a warning.
+
+    Args:
+        path: Of the log.
+        only: Channels that are wanted; the sensors' alone are half of all messages.
 
     Raises:
         BusError: The file is missing or no log, of imolo 0.1, or a channel in it carries messages of another type.
     """
     log = Log(path)
-    with LogReader(path, CHANNELS) as reader:
-        for event, message in decoded(reader, reader, CHANNELS):
+    with LogReader(path, {*only, TRIAL}) as reader:
+        for event, message in decoded(reader, reader, only):
             log.messages[event.channel].append(message)
             log.received[event.channel].append(event.utime)
     log.damage = reader.damage

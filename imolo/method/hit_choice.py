@@ -158,7 +158,7 @@ class HitChooser:
             config: What a hit is.
             time_step: Between two points of a predicted path [s].
         """
-        self._swings, self._template, self._config = swings, template, config
+        self._swings, self._row, self._config = swings, template.row_maker(), config
         if config.effector_width is None or config.ball_radius is None:
             raise ConfigError("the choice by probability needs hit.effector_width and hit.ball_radius")
         count = len(swings.size)
@@ -218,7 +218,7 @@ class HitChooser:
             theta: Of the motion under way.
             elapsed: Time since its onset at which new commands can take effect [s]; negative before the onset.
         """
-        row, elapsed_us = motion_rows(self._template, np.array([theta]))[0], float(to_microseconds(elapsed))
+        row, elapsed_us = self._row(theta), float(to_microseconds(elapsed))
         shown = elapsed_us > row[len(theta) :]
         if shown.all():
             return None

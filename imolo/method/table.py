@@ -21,7 +21,7 @@ from imolo.method.hit_kernel import Swings
 from imolo.method.motion import MotionTemplate, PhasedMotion, Theta, motion_rows
 from imolo.method.prior import fit_forward_model
 from imolo.method.table_file import read_table_file, write_table_file
-from imolo.method.table_kernel import first_match
+from imolo.method.table_kernel import first_match, nearest_tuple
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -109,7 +109,7 @@ class Executed(NamedTuple):
     elapsed: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class TableHit:
     """A tuple of the table that answers a query.
 
@@ -168,17 +168,24 @@ class LookupTable:
         lowest = cell.min(axis=0)
         self._box = np.concatenate((lowest, cell.max(axis=0) - lowest + 1))
         flat = _flat_index(cell, self._box)
-        order = np.argsort(flat, kind="stable")
+        order = np.lexsort((time, flat))
         self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
         self._cell, self.time, self.theta = cell[order], time[order], theta[order]
         self.position = self._cell * grid.spacing
         self.hand_std = hand_std
-        self._spacing, self._time_tolerance = grid.spacing, grid.time_tolerance
+        self._spacing = grid.spacing
         self._reach = 0.5 * grid.spacing if grid.match == "sphere" else math.inf
-        self._motions = motion_rows(template, self.theta)
+        # As the compiled search takes them.
+        self._cells = np.concatenate((self._box, self._cell_start))
+        self._tuples = np.column_stack((self.time, motion_rows(template, self.theta)))
+        self._row = template.row_maker()
+        self._limits = grid.spacing, self._reach, grid.time_tolerance
+        self._nothing = np.zeros(2 * self.theta.shape[1]), -1.0
         for array in (self._cell, self.time, self.theta, self.position, self.hand_std):
             array.flags.writeable = False
-        self.query((0.0, 0.0, 0.0), 0.0)  # compiles the search now rather than in the middle of a throw
+        # Compiles the searches now rather than in the middle of a throw.
+        self.query((0.0, 0.0, 0.0), 0.0)
+        self.query_path(np.zeros((1, 3)), np.zeros(1))
 
     @classmethod
     def build(
@@ -246,10 +253,12 @@ class LookupTable:
         Raises:
             ValueError: The position has not three coordinates.
         """
-        point = np.array((position,), dtype=np.float64)
-        if point.shape != (1, 3):
-            raise ValueError(f"position has shape {point.shape[1:]}; give (3,)")
-        return self._search(point, np.array((time,)), executed)
+        try:
+            x, y, z = map(float, position.tolist() if isinstance(position, np.ndarray) else position)  # type: ignore[arg-type]
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"position is {position!r}; give three coordinates") from error
+        row = nearest_tuple(x, y, z, time, self._cells, self._tuples, *self._done(executed), *self._limits)
+        return self._hit(0, row) if row >= 0 else None
 
     def query_path(self, positions: ArrayLike, times: ArrayLike, executed: Executed | None = None) -> TableHit | None:
         """Find the first point of a path that a motion reaches in time; each point is a `query`.
@@ -266,7 +275,8 @@ class LookupTable:
         when = np.ascontiguousarray(times, dtype=np.float64)
         if path.shape != (*when.shape, 3):
             raise ValueError(f"positions have shape {path.shape}, times {when.shape}; give (N, 3) and (N,)")
-        return self._search(path, when, executed)
+        point, row = first_match(path, when, self._cells, self._tuples, *self._done(executed), *self._limits)
+        return self._hit(point, row) if row >= 0 else None
 
     def times_at(self, position: ArrayLike) -> Array:
         """Return when the stored motions bring the hand to a position, since the onset [s], shape (N,).
@@ -282,26 +292,13 @@ class LookupTable:
         flat = int(_flat_index(cell.astype(np.int64)[None], self._box)[0])
         return self.time[self._cell_start[flat] : self._cell_start[flat + 1]]
 
-    def _search(self, path: Array, when: Array, executed: Executed | None) -> TableHit | None:
-        row_executed, elapsed = self._motions[0], -1.0
-        if executed is not None:
-            row_executed = motion_rows(self.template, np.array([executed.theta]))[0]
-            elapsed = float(to_microseconds(executed.elapsed))
-        point, row = first_match(
-            path,
-            when,
-            self._cell_start,
-            self._box,
-            self.time,
-            self._motions,
-            self._spacing,
-            self._reach,
-            self._time_tolerance,
-            row_executed,
-            elapsed,
-        )
-        if row < 0:
-            return None
+    def _done(self, executed: Executed | None) -> tuple[Array, float]:
+        """Return the row of the motion under way and its elapsed time [µs]; those of none bind nothing."""
+        if executed is None:
+            return self._nothing
+        return self._row(executed.theta), float(to_microseconds(executed.elapsed))
+
+    def _hit(self, point: int, row: int) -> TableHit:
         return TableHit(tuple(self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
 
     @cached_property

@@ -14,7 +14,7 @@ from imolo.method.forward_model import TrainingData
 from imolo.method.motion import Theta
 from imolo.method.prior import fit_forward_model, origin_of
 from imolo.method.table import LookupTable
-from imolo.trials.recordings import ball_flight, hand_samples, merge
+from imolo.trials.recordings import SHOWN, ball_flight, hand_samples, merge
 
 
 def spread_motions(config: ExperimentConfig, count: int) -> tuple[Theta, ...]:
@@ -41,7 +41,7 @@ def learn_ball(method: MethodConfig, logs: Sequence[Path]) -> BallModel:
     Raises:
         TrainingDataError: There are too few throws, or one shows no flight.
     """
-    return fit_ball_model([ball_flight(read_log(path)) for path in logs], method.ball_model)
+    return fit_ball_model([ball_flight(read_log(path, SHOWN)) for path in logs], method.ball_model)
 
 
 def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingData:
@@ -50,7 +50,7 @@ def learn_motions(config: ExperimentConfig, logs: Sequence[Path]) -> TrainingDat
     Raises:
         TrainingDataError: There are no trials, or one of them does not show the hand.
     """
-    return merge([hand_samples(read_log(path), config) for path in logs])
+    return merge([hand_samples(read_log(path, SHOWN), config) for path in logs])
 
 
 def build_table(

@@ -17,6 +17,9 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t
 
 Array = NDArray[np.float64]
 
+SHOWN = (channels.MOCAP, channels.PLAN, channels.TRIAL)
+"""Channels of a log that say where hand and ball were, and of what motion."""
+
 LINK_SPEED = 12.0  # [m/s] a marker may be this much faster or slower than it was, as when it is thrown or bounces
 LINK_TIME = 0.05  # [s] longest gap in a track
 SPLINE_REACH = 0.1  # [s] of a marker's track on both sides that is interpolated

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from imolo.ball.aerodynamic import AerodynamicBallModel
-from imolo.ball.aerodynamic_kernel import COVARIANCE_STEP, normal_equations, transition
+from imolo.ball.aerodynamic_kernel import COVARIANCE_STEP, LONGEST_STEP, normal_equations, transition
 from imolo.ball.fit import _vertex, fit_ball_model, restore_ball_model
 from imolo.ball.flight import Flight
 from imolo.ball.linear import LinearBallModel
@@ -122,12 +122,12 @@ def test_gravity_of_all_flights_is_learned():
     flights = []
     for _ in range(12):
         start = np.concatenate([[5.0, 0.0, 1.1], MEAN[:4] + SPREAD[:4] * rng.standard_normal(4)])
-        path = [transition(start, t, 0.0, gravity)[0][:3] for t in time]
+        path = [transition(start, t, 0.0, gravity, LONGEST_STEP)[0][:3] for t in time]
         flights.append(Flight(time, path + NOISE * rng.standard_normal((len(time), 3))))
     model = fit_ball_model(flights, BallModelConfig(kind="drag", acceleration_density=1e-6))
     np.testing.assert_allclose(model.gravity, gravity, rtol=0, atol=4 * 0.010)
     state = np.concatenate([[5.0, 0.0, 1.1], MEAN[:4]])
-    truth = transition(state, 80 * model.time_step, 0.0, model.gravity)[0]
+    truth = transition(state, 80 * model.time_step, 0.0, model.gravity, LONGEST_STEP)[0]
     np.testing.assert_allclose(model.predict(state, 80)[-1], truth, rtol=0, atol=1e-7)
 
 
@@ -170,11 +170,13 @@ def test_flat_or_short_likelihoods_keep_the_candidate():
 @pytest.mark.parametrize("duration", [0.0083, 0.4, -0.05])
 def test_sensitivity_is_the_finite_difference(kind, duration):
     state = np.concatenate([[5.0, 0.0, 1.1], MEAN])[: {"drag": 7, "spin": 10}[kind]]
-    _, F, _ = transition(state, duration, 0.0, GRAVITY)
+    _, F, _ = transition(state, duration, 0.0, GRAVITY, LONGEST_STEP)
     for i in range(len(state)):
         step = np.zeros(len(state))
         step[i] = 1e-5
-        above, below = (transition(state + sign * step, duration, 0.0, GRAVITY)[0] for sign in (1.0, -1.0))
+        above, below = (
+            transition(state + sign * step, duration, 0.0, GRAVITY, LONGEST_STEP)[0] for sign in (1.0, -1.0)
+        )
         # Central differences leave 1e-16 / 1e-5 of rounding and 1e-10 of curvature.
         np.testing.assert_allclose(F[:, i], (above - below) / 2e-5, rtol=0, atol=1e-8)
 
@@ -242,7 +244,7 @@ def test_filter_is_consistent_where_the_model_is_right(kind):
     final, ahead = 0.0, 0.0
     for flight, start in zip(flights, starts, strict=True):
         states, covariances = filter_flight(model, flight)
-        truth = transition(start[: 3 + len(model.prior_mean)], flight.time[-1], 0.0, GRAVITY)[0]
+        truth = transition(start[: 3 + len(model.prior_mean)], flight.time[-1], 0.0, GRAVITY, LONGEST_STEP)[0]
         error = states[-1] - truth
         final += error @ np.linalg.solve(covariances[-1], error)
         miss, spread = prediction_errors(model, flight, 0.5, 0.1)
@@ -269,7 +271,7 @@ def test_launch_prior_sharpens_the_first_estimate():
     flights, starts = throws(rng, 40)
     with_prior, without = [], []
     for flight, start in zip(flights, starts, strict=True):
-        truth = transition(start, flight.time[5], 0.0, GRAVITY)[0]
+        truth = transition(start, flight.time[5], 0.0, GRAVITY, LONGEST_STEP)[0]
         state, _, _ = model.initial_state(flight.time[:6], flight.position[:6])
         line = LinearBallModel(
             np.eye(6) + np.eye(6, k=3) * 0.0083,
@@ -340,6 +342,6 @@ def test_tracker_follows_a_spinning_ball_through_ghosts_and_dropouts(kind):
             estimate = tracker.update(make_frame(1_000_000 + round(1e6 * time), markers))
             if i >= 12:
                 assert estimate.in_flight
-                truth = transition(start, time, 0.0, GRAVITY)[0]
+                truth = transition(start, time, 0.0, GRAVITY, LONGEST_STEP)[0]
                 assert np.linalg.norm(estimate.state[:3] - truth[:3]) < 0.02
         assert estimate.to_message().covariance == estimate.covariance[:6, :6].tolist()

@@ -23,6 +23,8 @@ INTEGRATORS = {
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
 }
 CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+# A diverged state must be seen; the others look every step for what no scene has.
+DISABLED = ("AUTORESET", "EQUALITY", "SPRING", "DAMPER", "EULERDAMP", "ACTUATION", "SENSOR", "MIDPHASE")
 # Contact masks: the robot touches everything but itself, the ball touches everything.
 ROBOT_MASK, FIXED_MASK, BALL_MASK = (1, 0), (0, 1), (1, 1)
 
@@ -109,8 +111,7 @@ class MujocoEngine(EngineAdapter):
         self._applied[self._velocity_index] = joint_torque
         self._ball_force[:] = ball_force
         mujoco.mj_step(self._model, self._data)
-        reaction = self._ball_reaction  # cheaper than a look at the contact list, which always holds the feet
-        return reaction[0] or reaction[1] or reaction[2]
+        return any(self._ball_reaction)  # cheaper than a look at the contact list, which always holds the feet
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -158,8 +159,8 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
     spec.option.integrator = INTEGRATORS[options.integrator]
     spec.option.cone = CONES[options.cone]
     spec.option.impratio = options.impratio
-    # A diverged state must be seen, not reset.
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    for name in DISABLED:
+        spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
     for geom in spec.geoms:
         _set_contact(geom, ROBOT_MASK, scene.friction, options.solref)
     for joint in spec.joints:
