@@ -115,13 +115,12 @@ def _measure(subject: str, folder: Path, python: Path) -> Iterator[tuple[str, fl
         _run(str(python.with_name("imolo")), *command, cwd=folder)
         after = os.times()
         cpu = after.children_user + after.children_system - before.children_user - before.children_system
-        line = f"imolo {' '.join(COMMANDS[subject])}"
-        yield f"{line}: processor time [s]", cpu
-        yield f"{line}: elapsed [s]", after.elapsed - before.elapsed
+        yield f"{subject}: processor time [s]", cpu
+        yield f"{subject}: elapsed [s]", after.elapsed - before.elapsed
         if (timing := Path(out) / "timing.json").exists():
             for backend, methods in json.loads(timing.read_text())["timing"].items():
                 for method, numbers in methods.items():
-                    yield from ((f"{line}: {backend}, {method}, {name}", value) for name, value in numbers.items())
+                    yield from ((f"{subject}: {backend}, {method}, {name}", value) for name, value in numbers.items())
 
 
 def _run(*command: str, cwd: Path = HERE) -> str:

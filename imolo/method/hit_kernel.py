@@ -283,7 +283,7 @@ def most_probable(
             for axis in range(len(size)):
                 cell = cell * size[axis] + index[axis]
             motion = lattice[cell]
-            if motion >= 0 and keeps_executed_part(motion_rows[motion], executed, elapsed):
+            if motion >= 0 and keeps_executed_part(motion_rows, motion, 0, executed, elapsed):
                 motions[count] = motion
                 count += 1
             # The next one, the last parameter fastest.

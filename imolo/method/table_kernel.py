@@ -6,19 +6,24 @@ from numpy.typing import NDArray
 
 
 @njit(cache=True, inline="always")
-def keeps_executed_part(motion: NDArray[np.float64], executed: NDArray[np.float64], elapsed_us: float) -> bool:
+def keeps_executed_part(
+    rows: NDArray[np.float64], row: int, first: int, executed: NDArray[np.float64], elapsed_us: float
+) -> bool:
     """Return whether new commands equal the executed ones so far (Fig. 4e); says the same as `Commands.matches_until`.
 
     Two U part where the first of their parameters that differ shows in either of them.
 
     Args:
-        motion: New theta, then from when on each of its parameters shows in U [µs], shape (2 n,).
-        executed: The same of the executed motion.
+        rows: Motions, shape (M, first + 2 n); a row of their own would be counted by numba for each of them.
+        row: The new one.
+        first: Where it has theta, then from when on each of its parameters shows in U [µs].
+        executed: The same of the executed motion, shape (2 n,).
         elapsed_us: Executed time since the onset [µs], negative before it.
     """
     count = len(executed) // 2
     for i in range(count):
-        if motion[i] != executed[i] and elapsed_us > min(motion[count + i], executed[count + i]):
+        shown = min(rows[row, first + count + i], executed[count + i])
+        if rows[row, first + i] != executed[i] and elapsed_us > shown:
             return False
     return True
 
@@ -83,7 +88,7 @@ def nearest_tuple(
         late = tuples[candidate, 0] - time
         if late >= best_distance:  # and all that follow are later still
             break
-        if abs(late) < best_distance and keeps_executed_part(tuples[candidate, 1:], executed, elapsed_us):
+        if abs(late) < best_distance and keeps_executed_part(tuples, candidate, 1, executed, elapsed_us):
             best, best_distance = candidate, abs(late)
     return best
 

@@ -157,7 +157,7 @@ def test_fast_condition_says_what_the_commands_say(drawn: tuple[PhasedMotion, Th
     template, old, new, elapsed = drawn
     row_old, row_new = motion_rows(template, np.array([old, new]))
     np.testing.assert_array_equal(template.row_maker()(old), row_old)
-    fast = keeps_executed_part(row_new, row_old, float(elapsed))
+    fast = keeps_executed_part(row_new[None], 0, 0, row_old, float(elapsed))
     commands = [template.commands(theta, ONSET) for theta in (new, old)]
     assert fast == commands[0].matches_until(commands[1], ONSET + elapsed)
 
