@@ -162,6 +162,7 @@ class HitChooser:
         if config.effector_width is None or config.ball_radius is None:
             raise ConfigError("the choice by probability needs hit.effector_width and hit.ball_radius")
         count = len(swings.size)
+        self._numbers = {tuple(theta): number for number, theta in enumerate(swings.motion[:, :count].tolist())}
         coarse = config.coarse or (round(COARSE ** (1.0 / count)),) * count
         if len(coarse) != count:
             raise ConfigError(f"hit.coarse is {coarse}; give {count} numbers, one per parameter of the motion")
@@ -234,8 +235,7 @@ class HitChooser:
         return self._hit(best)
 
     def _motion(self, theta: Theta) -> int:
-        found = np.flatnonzero((self._swings.motion[:, : len(theta)] == theta).all(axis=1))
-        return int(found[0]) if len(found) else -1
+        return self._numbers.get(tuple(theta), -1)
 
     def _hit(self, found: Found) -> ProbableHit:
         theta = tuple(self._swings.motion[found.motion, : self._swings.size.size].tolist())
