@@ -99,6 +99,12 @@ def test_another_decoder_reads_our_model_definitions(version: Version, data: st.
     ]
 
 
+def test_messages_have_the_numbers_of_the_vendor() -> None:
+    """NatNetTypes.h; what our two ends agree on alone would be no NatNet."""
+    vendor = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 12, 13, 14, 100)
+    assert tuple(MessageId) == vendor
+
+
 @versions
 def test_a_packet_cut_short_anywhere_is_named_so(version: Version) -> None:
     packet = encode(EXAMPLE, version)
