@@ -74,7 +74,7 @@ def test_signal_ends_the_board_vented(name: str, tmp_path: Path) -> None:
                 operator.wait(lambda: False, PATIENCE)
             assert operator.state.given_target == (0.0,)
             assert BoardState(operator.state.board_state) is BoardState.VENTED
-            assert operator.state.state_cause == "disarmed by the board program ended"
+            assert operator.state.state_cause == "the board program ended"
 
 
 def test_every_signal_that_ends_a_program_is_caught() -> None:

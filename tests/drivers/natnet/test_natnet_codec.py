@@ -1,5 +1,6 @@
 """Encoder and decoder against each other, against another decoder, and against damaged packets."""
 
+import dataclasses
 import resource
 import struct
 import tracemalloc
@@ -103,6 +104,13 @@ def test_messages_have_the_numbers_of_the_vendor() -> None:
     """NatNetTypes.h; what our two ends agree on alone would be no NatNet."""
     vendor = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 12, 13, 14, 100)
     assert tuple(MessageId) == vendor
+
+
+def test_messages_cannot_be_changed() -> None:
+    """Those who share one, as the emulator's clients do, rely on it."""
+    kinds = [kind for kind in vars(m).values() if dataclasses.is_dataclass(kind)]
+    assert len(kinds) > 20
+    assert all(kind.__dataclass_params__.frozen for kind in kinds)
 
 
 @versions
