@@ -19,7 +19,7 @@ from imolo.errors import TrialVoidError
 from imolo.inspect.statistics import BusStatistics
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Asker
-from imolo.live.node import SILENCE, Node
+from imolo.live.node import MOST_PEERS, SILENCE, Node
 from imolo.live.planner_program import PlannerProgram
 from imolo.live.program import Console, Stop
 from imolo.live.recorder_program import CHUNK, RecorderProgram
@@ -227,6 +227,17 @@ def test_heartbeat_of_another_backend_does_not_part_planner_and_backend() -> Non
     assert listener.frames == [8333]
 
 
+def test_crowd_of_programs_is_told_once_and_remembered_no_more() -> None:
+    bus, said = Bus(), []
+    node = Node(bus, PLANNER, said.append)
+    for number in range(1, 3 * MOST_PEERS):
+        bus.publish(channels.HEARTBEAT, heartbeat(node, node.instance + number))
+    bus.drain()
+    assert len(node._peers) == MOST_PEERS
+    assert sum("is here" in line for line in said) == MOST_PEERS
+    assert sum("newcomers are passed over" in line for line in said) == 1
+
+
 @pytest.mark.parametrize("identity", [BACKEND, PLANNER])
 def test_newcomer_gives_way_and_a_program_at_work_does_not(identity: Identity) -> None:
     bus, said, now = Bus(), [], 0.0
@@ -282,7 +293,9 @@ def test_spoofed_messages_move_nothing_and_cost_no_memory() -> None:
     stage.inside.drain()
     assert stage.trial.lost == ""
     assert [message.commander for message in stage.heard] == [stage.planner.instance]
-    assert len(stage.console.lines) < 20
+    # One line for each program that seems to be there, and there are not more of them than a session has.
+    assert len(stage.console.lines) < MOST_PEERS + 20
+    assert len(stage.node._peers) <= MOST_PEERS
 
 
 def test_session_of_many_balls_keeps_its_memory_and_its_files(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import time
 import pytest
 from live.network import namespace
 from natnet_pair import DEADLINE, Pair, pair, run_until
+from pydantic import ValidationError
 
 from imolo.errors import NatNetError, NatNetVersionError
 from imolo_drivers.natnet.client import LATE_FRAMES, LATE_IN_ORDER, NatNetClient
@@ -47,6 +48,23 @@ def test_a_multicast_client_joins_the_group_that_the_server_names(version: Versi
         assert link.client.server is not None
         assert link.client.server.multicast_group == "239.255.42.99"
         assert send_and_receive(link, 1, 2, 3) == [frame(1), frame(2), frame(3)]
+
+
+def test_two_clients_of_one_machine_share_a_group() -> None:
+    with namespace(), pair((4, 1), multicast_group="239.255.42.99", definitions=DEFINITIONS) as link:
+        link.connect()
+        with NatNetClient(NatNetConfig(command_port=link.server.port, retry_interval=0.05)) as other:
+            others: list[Frame] = []
+            run_until(link.server, other, others, lambda: other.definitions is not None)
+            assert send_and_receive(link, 1) == [frame(1)]
+            run_until(link.server, other, others, lambda: others == [frame(1)])
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_a_port_that_is_none_is_refused(port: int) -> None:
+    assert NatNetConfig(command_port=1).command_port == 1
+    with pytest.raises(ValidationError):
+        NatNetConfig(command_port=port)
 
 
 def test_missing_numbers_are_lost_frames_and_old_ones_are_left_out() -> None:
