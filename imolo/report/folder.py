@@ -20,7 +20,7 @@ from imolo.report.plausibility import check_numbers, check_result
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult
 
 MOST_BYTES = 100_000_000  # the summary of 10,000 balls has 5,000,000
-AGAIN = "run `imolo compare` again, or restore the file"
+AGAIN = "run `imolo compare` or `imolo hit` again, or restore the file"
 
 Content = TypeVar("Content", bound=BaseModel)
 
