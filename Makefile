@@ -7,12 +7,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 HEADERS ?= build/board
 C_PLANNER ?= build/c_planner
+MUTATIONS ?= 20
+SEED ?= 1
 # The wheel of LCM holds its C library.
 LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__).parents[1])')
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow lint bench messages headers c-planner clean
+.PHONY: help demo ode test test-slow mutations lint bench messages headers c-planner clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -28,6 +30,10 @@ test: $(VIEWERS) ## Run the tests, the long matrices left out.
 
 test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
+
+mutations: $(VIEWERS) ## Change the code at MUTATIONS random places (SEED) and see whether the tests notice.
+	$(BIN)/python -m pip install --quiet 'cosmic-ray>=8.4'
+	$(BIN)/python tools/mutations.py $(MUTATIONS) --seed $(SEED)
 
 lint: $(READY) ## Check style and types.
 	$(BIN)/ruff check .

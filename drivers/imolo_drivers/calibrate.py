@@ -33,20 +33,19 @@ def calibrate(
         CalibrationError: There are no frames, a marker is hidden or moves, or the markers do not fit.
     """
     with NatNetClient(cameras) as client:
-        definitions, frames = _watch(client, cameras, seconds, patience)
+        definitions, frames = _watch(client, seconds, patience)
     limits, labels = CalibrationLimits(), cameras.labels.of(body)
     # An effector may hang freely while the actuators are off, as arms without air do.
     loose = {effector.name for effector in body.effectors}
     known = {name: place for name, place in body.ready_markers().items() if name not in loose}
-    names = {label: name for name, label in labels.markers.items() if name in known}
+    ours = {marker.marker_id: marker.name for marker in body.markers}
+    names = {label: ours[label] for label in labels.markers.values() if ours.get(label) in known}
     measured = rest_positions(frames, find_labels(labels, definitions), names, limits)
     calibration = fit(measured, known, limits)
     return calibration, calibration.errors(measured, known)
 
 
-def _watch(
-    client: NatNetClient, cameras: NatNetConfig, seconds: float, patience: float
-) -> tuple[ModelDefinitions, list[Frame]]:
+def _watch(client: NatNetClient, seconds: float, patience: float) -> tuple[ModelDefinitions, list[Frame]]:
     """Return the models that Motive streams, and its frames of some seconds from the first one on."""
     frames: list[Frame] = []
     end = time.monotonic() + patience
@@ -59,8 +58,5 @@ def _watch(
         if frames and not began:
             end = time.monotonic() + seconds
     if client.definitions is None or not frames:
-        raise CalibrationError(
-            f"no frames from Motive at {cameras.server_address}:{cameras.command_port} within {patience:g} s; is it "
-            "streaming, and is cameras.local_address the network card towards it?"
-        )
+        raise CalibrationError(client.missing(patience))
     return client.definitions, frames

@@ -34,6 +34,7 @@ from imolo_drivers.board.client import BoardClient, LinkLostError
 from imolo_drivers.board.handshake import ClientRole
 from imolo_drivers.board.secret import read_secret
 from imolo_drivers.board.server import PORT, monotonic_utime
+from imolo_drivers.exposure_guard import ExposureGuard, ExposureLimits
 from imolo_drivers.hit_detector import HitDetector, HitDetectorConfig
 from imolo_drivers.marker_guard import MarkerGuard, MarkerGuardConfig
 from imolo_drivers.natnet.calibration import Calibration
@@ -75,6 +76,7 @@ class HardwareOptions(Model):
     camera_patience: Positive = Field(
         0.25, description="without frames for longer a trial is void [s], assumed: the tracker's patience"
     )
+    exposures: ExposureLimits = ExposureLimits()
     markers: MarkerGuardConfig = MarkerGuardConfig()
     landed_margin: NonNegative = Field(0.004, description="above its height when it stands, of a foot that lands [m]")
     hits: HitDetectorConfig = HitDetectorConfig()
@@ -100,12 +102,13 @@ class HardwareBackend:
         self._cameras: NatNetClient | None = None
         self._labels: Labels = {}
         self._happened: set[EventName] = set()
+        self._exposures = ExposureGuard(options.exposures, 0.0)
         self._guard = MarkerGuard(options.markers)
         self._wrong_labels = False
         self._detector = HitDetector(options.hits, config.tracker, self._body)
         self._pressure = actuator_state_t()
         self._asked = self._heard_board = 0
-        self._newest_frame = self._newest_state = 0
+        self._newest_state = 0
         self._first_state = -1
         self._first_frame = 0
         self._onset: int | None = None
@@ -137,6 +140,7 @@ class HardwareBackend:
             raise
         bus.subscribe(channels.ACTUATOR_COMMAND, self._on_command)
         self._begin = self._heard_board = monotonic_utime()
+        self._exposures = ExposureGuard(self._options.exposures, self._begin * 1e-6)
 
     def advance(self, until_utime: int) -> None:
         """Wait until `until_utime` [µs] and publish what comes meanwhile; returns early with every frame.
@@ -147,7 +151,7 @@ class HardwareBackend:
         board, cameras = self._links()
         try:
             while True:
-                left = self._next_due(cameras, until_utime) - monotonic_utime()
+                left = self._next_due(until_utime) - monotonic_utime()
                 select.select([board.fileno(), cameras.fileno()], (), (), max(left * 1e-6, 0.0))
                 self._hear_board(board)
                 if self._hear_cameras(cameras) or self.utime >= until_utime:
@@ -170,14 +174,14 @@ class HardwareBackend:
                 board.close()
         cameras, self._cameras = self._cameras, None
         if cameras is not None:
-            logger.info("%d camera frames lost, %d packets unreadable", cameras.lost, cameras.unreadable)
+            counts = cameras.lost, cameras.unreadable, self._exposures.refused
+            logger.info("%d camera frames lost, %d packets unreadable, %d exposures refused", *counts)
             cameras.close()
 
-    def _next_due(self, cameras: NatNetClient, until_utime: int) -> int:
+    def _next_due(self, until_utime: int) -> int:
         """Return when there is something to do even if nothing comes [µs], such as to tell of a silence."""
-        camera_limit = cameras.heard + self._options.camera_patience
-        if not self._cameras_lost:
-            camera_limit = min(camera_limit, cameras.lost_at)
+        silence_limit, patience = self._options.cameras.silence_limit, self._options.camera_patience
+        camera_limit = self._exposures.heard + (patience if self._cameras_lost else min(silence_limit, patience))
         return min(
             (self._begin or 0) + until_utime,
             self._asked + LIFE_SIGN,
@@ -210,11 +214,7 @@ class HardwareBackend:
         board.synchronise()
         self._cameras = cameras = NatNetClient(options.cameras)
         if not self._idle(lambda: cameras.definitions is not None and not cameras.is_lost(_now()), options.patience):
-            where = f"{options.cameras.server_address}:{options.cameras.command_port}"
-            raise BackendError(
-                f"no frames from Motive at {where} within {options.patience:g} s; is it streaming, and is "
-                "cameras.local_address the network card towards it?"
-            )
+            raise BackendError(cameras.missing(options.patience))
         if cameras.definitions is not None:
             self._labels = find_labels(options.cameras.labels.of(self._body), cameras.definitions)
 
@@ -299,27 +299,28 @@ class HardwareBackend:
 
     def _hear_cameras(self, cameras: NatNetClient) -> bool:
         """Publish the frames that have come; return whether there are any."""
-        now = _now()
-        frames = cameras.poll(now)
-        silence = cameras.silence(now)
-        if not cameras.is_lost(now):
+        frames = cameras.poll(_now())
+        now = _now()  # of no frame that came by then may the exposure be later
+        told = [self._tell_frame(cameras, frame, now) for frame in frames]
+        heard, options = self._exposures.heard, self._options
+        silence = f"no camera frame for {1e3 * (now - heard):.0f} ms"
+        if now < heard + options.cameras.silence_limit:
             self._cameras_lost = False
         elif not self._cameras_lost:
             self._cameras_lost = True
-            logger.warning("no camera frame for %.0f ms at %d us", 1e3 * silence, self.utime)
-        if now >= cameras.heard + self._options.camera_patience:
-            raise TrialVoidError(f"no camera frame for {1e3 * silence:.0f} ms")
-        for frame in frames:
-            self._tell_frame(cameras, frame)
-        return bool(frames)
+            logger.warning("%s at %d us", silence, self.utime)
+        if now >= heard + options.camera_patience:
+            raise TrialVoidError(silence + (f"; {self._exposures.problem}" if self._exposures.problem else ""))
+        return any(told)
 
-    def _tell_frame(self, cameras: NatNetClient, frame: Frame) -> None:
-        exposed = cameras.exposure_time(frame)
-        time = _now() - self._options.camera_latency if exposed is None else exposed[0]
-        utime = round(time * 1e6) - (self._begin or 0)
-        if utime <= self._newest_frame:
-            return  # exposed before the trial began
-        self._newest_frame = utime
+    def _tell_frame(self, cameras: NatNetClient, frame: Frame, now: float) -> bool:
+        """Publish a frame; return whether its exposure can be true."""
+        exposed, error = cameras.exposure_time(frame) or (_now() - self._options.camera_latency, 0.0)
+        if not self._exposures.accept(exposed, error, now):
+            if self._exposures.refused == 1:
+                logger.warning("%s, at %d us; it is left out", self._exposures.problem, self.utime)
+            return False
+        utime = round(exposed * 1e6) - (self._begin or 0)
         message = mocap_frame(frame, utime, self._labels, self._calibration)
         self._first_frame = self._first_frame or frame.number
         message.frame_number = frame.number - self._first_frame + 1
@@ -329,6 +330,7 @@ class HardwareBackend:
             logger.warning("markers jumped to where others were at %d us; their labels are corrected", utime)
         self._bus.publish(channels.MOCAP, message)
         self._judge(message)
+        return True
 
     def _judge(self, frame: mocap_frame_t) -> None:
         """Tell what the cameras show to have happened."""

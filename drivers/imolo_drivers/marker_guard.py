@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.optimize import linear_sum_assignment
 
 from imolo.config.model import Model, NonNegative, Positive
 from imolo_msgs import marker_t, mocap_frame_t
@@ -33,28 +34,41 @@ class MarkerGuard:
 
     def repair(self, frame: mocap_frame_t) -> None:
         """Correct the labels of a frame in place; what jumped to where no other marker was is left out."""
-        kept: list[marker_t] = []
-        strangers: list[marker_t] = []
+        left_out = self._rename([marker for marker in frame.markers if self._jumped(marker)], frame.utime)
+        frame.markers = [marker for marker in frame.markers if not any(marker is one for one in left_out)]
+        frame.num_markers = len(frame.markers)
         for marker in frame.markers:
-            labelled = marker.marker_id != marker_t.UNLABELLED
-            (strangers if labelled and self._jump(marker.marker_id, marker, frame.utime) > 0.0 else kept).append(marker)
-        for label in [marker.marker_id for marker in strangers]:
-            jump, nearest = min((self._jump(label, marker, frame.utime), i) for i, marker in enumerate(strangers))
-            if jump <= 0.0:
-                marker = strangers.pop(nearest)
-                marker.marker_id = label
-                kept.append(marker)
-                self.renamed += 1
-        self.removed += len(strangers)
-        for marker in kept:
             if marker.marker_id != marker_t.UNLABELLED:
                 self._seen[marker.marker_id] = (frame.utime, np.array(marker.marker_position))
-        frame.markers, frame.num_markers = kept, len(kept)
 
-    def _jump(self, label: int, marker: marker_t, utime: int) -> float:
-        """Return how much farther a marker is from where the label was than it can have come [m]."""
-        if label not in self._seen:
-            return 0.0
-        before, place = self._seen[label]
-        possible = self._config.slack + self._config.speed * (utime - before) * 1e-6
-        return float(np.linalg.norm(np.array(marker.marker_position) - place)) - possible
+    def _jumped(self, marker: marker_t) -> bool:
+        if marker.marker_id not in self._seen:
+            return False
+        _, place = self._seen[marker.marker_id]
+        return float(np.linalg.norm(np.array(marker.marker_position) - place)) > self._config.slack
+
+    def _rename(self, jumped: list[marker_t], utime: int) -> list[marker_t]:
+        """Share the names of the markers that jumped out among them anew; return those that can have none of them.
+
+        After a gap in the frames a marker can have come from almost everywhere, which is no reason to believe its name.
+        The least sum of squared distances tells who is who, and changes nothing where all moved together: a common
+        displacement adds the same to every way of sharing.
+        """
+        if not jumped:
+            return []
+        labels = [marker.marker_id for marker in jumped]
+        before, places = zip(*(self._seen[label] for label in labels), strict=True)
+        now = np.array([marker.marker_position for marker in jumped])
+        distances = np.linalg.norm(now[:, np.newaxis] - np.array(places), axis=2)
+        possible = self._config.slack + self._config.speed * 1e-6 * (utime - np.array(before)) >= distances
+        # What is impossible is chosen where nothing else is left.
+        cost = np.where(possible, 0.0, 1.0 + np.sum(distances**2)) + distances**2
+        left_out = []
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if not possible[i, j]:
+                left_out.append(jumped[i])
+            elif i != j:
+                jumped[i].marker_id = labels[j]
+                self.renamed += 1
+        self.removed += len(left_out)
+        return left_out

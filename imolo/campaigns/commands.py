@@ -105,7 +105,7 @@ def hit(
     with ProgressBars(kept_in(out)) as bars:
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_config(chosen)
-    folder.save_json("summary.json", results[name][method])
+    folder.save_json("summary.json", comparison.summarise({name: chosen}, results, disagreement={}))
     console.print(summary.render_results(results, timing, chosen))
     console.print(summary.render_causes(results))
     say(f"logs, config and summary.json are in {out}")

@@ -118,19 +118,29 @@ def compare(
     disagreement = learn(configs, folder, jobs, progress)
     tables = {(name, method): folder.table(name, method) for name, config in named.items() for method in config.methods}
     results, timing = hit(named, tables, folder, jobs, progress)
-    comparison = Comparison(
-        seed=configs[0].seed,
-        versions=installed_versions(named),
-        configs={name: config.digest() for name, config in named.items()},
-        results=results,
-        disagreement=disagreement,
-        robot=configs[0].robot.name,
-        task=configs[0].task.name,
-    )
+    comparison = summarise(named, results, disagreement)
     timings = Timings(timing=timing)
     folder.save_json("summary.json", comparison)
     folder.save_json("timing.json", timings)
     return comparison, timings
+
+
+def summarise(
+    configs: Mapping[str, ExperimentConfig],
+    results: dict[str, dict[str, MethodResult]],
+    disagreement: dict[str, Statistic],
+) -> Comparison:
+    """Return results with what they come from; arguments as the attributes of `Comparison`, configs by backend."""
+    first = next(iter(configs.values()))
+    return Comparison(
+        seed=first.seed,
+        versions=installed_versions(configs),
+        configs={name: config.digest() for name, config in configs.items()},
+        results=results,
+        disagreement=disagreement,
+        robot=first.robot.name,
+        task=first.task.name,
+    )
 
 
 def learn(

@@ -1,14 +1,15 @@
 """Logs as tables: CSV or Parquet, one file per channel, flat named columns."""
 
 import csv
-import os
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import StrEnum
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 from imolo.errors import ResultsError
 from imolo.inspect.fields import Path as LeafPath
@@ -16,6 +17,7 @@ from imolo.inspect.fields import Value, column_name, leaves
 from imolo.inspect.plot import log_name
 from imolo.inspect.trials import Heard, Timeline, TrialEvents
 from imolo.machine.extras import import_extra
+from imolo.machine.files import whole_file
 from imolo.messaging.channels import CHANNELS
 from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogReader
@@ -61,31 +63,14 @@ def export(log: Path, to: ExportFormat, out: Path | None, trial: int | None = No
             if path.exists():
                 _require_same(path, source_of(path), source)
             path.parent.mkdir(parents=True, exist_ok=True)
-            with LogReader(log, CHANNELS) as reader, _all_or_nothing() as part_of:
-                write_mcap(TrialEvents(reader, trial), part_of(path), source)
+            with LogReader(log, CHANNELS) as reader, whole_file(path) as file:
+                write_mcap(TrialEvents(reader, trial), file, source)
             return [path]
         folder = out if out is not None else log.with_name(f"{name}_{to.value}")
         with LogReader(log, CHANNELS) as reader:
             return _write_tables(TrialEvents(reader, trial), folder, to, source)
     except OSError as error:
         raise ResultsError(f"cannot write the export of {log}: {error}; choose another --out") from error
-
-
-@contextmanager
-def _all_or_nothing() -> Iterator[Callable[[Path], Path]]:
-    """Give names for files under way, which take their places together at the end, or vanish."""
-    parts: dict[Path, Path] = {}
-
-    def part_of(path: Path) -> Path:
-        return parts.setdefault(path, path.with_name(f".{path.name}.{os.getpid()}.part"))
-
-    try:
-        yield part_of
-        for path, part in parts.items():
-            part.replace(path)
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
 
 
 def _require_same(path: Path, found: str | None, source: str) -> None:
@@ -143,35 +128,36 @@ def _write_tables(events: TrialEvents, folder: Path, to: ExportFormat, source: s
         _require_same(folder, told.read_text(encoding="utf-8").strip() if told.exists() else None, source)
     folder.mkdir(parents=True, exist_ok=True)
     of_session = events.count > 1 and events.trial is None
-    with _all_or_nothing() as part_of:
-        part_of(told).write_text(source + "\n", encoding="utf-8")
+    with ExitStack() as whole:  # all of them take their names together, once the last one is written
+        whole.enter_context(whole_file(told)).write(f"{source}\n".encode())
         for name, path in zip(names, files, strict=True):
             table = tables[name]
             header: dict[str, type] = {**({TRIAL_IN_LOG: int} if of_session else {}), RECORDED: int}
             header |= {column_name(leaf): table.kinds[leaf] for leaf in table.leaves}
-            write(part_of(path), header, table.rows(name, events.reader, of_session))
+            write(whole.enter_context(whole_file(path)), header, table.rows(name, events.reader, of_session))
     return files
 
 
-def _write_csv(path: Path, header: dict[str, type], rows: Rows) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        # repr, the default for floats, is the shortest text that reads back as the same number.
-        writer.writerows(map(_unlike_formulas, rows))
+def _write_csv(file: BinaryIO, header: dict[str, type], rows: Rows) -> None:
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(header)
+    # repr, the default for floats, is the shortest text that reads back as the same number.
+    writer.writerows(map(_unlike_formulas, rows))
+    text.detach()
 
 
 def _unlike_formulas(row: list[Value | None]) -> list[Value | None]:
     return [f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value for value in row]
 
 
-def _parquet_writer() -> Callable[[Path, dict[str, type], Rows], None]:
+def _parquet_writer() -> Callable[[BinaryIO, dict[str, type], Rows], None]:
     pyarrow, parquet = import_extra("pyarrow", "export"), import_extra("pyarrow.parquet", "export")
     kinds = {int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
 
-    def write(path: Path, header: dict[str, type], rows: Rows) -> None:
+    def write(file: BinaryIO, header: dict[str, type], rows: Rows) -> None:
         schema = pyarrow.schema([(name, kinds[kind]) for name, kind in header.items()])
-        with parquet.ParquetWriter(str(path), schema) as writer:
+        with parquet.ParquetWriter(file, schema) as writer:
             while batch := list(islice(rows, BATCH)):
                 columns = dict(zip(header, zip(*batch, strict=True), strict=True))
                 writer.write_table(pyarrow.table(columns, schema=schema))

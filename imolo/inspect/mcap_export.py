@@ -8,7 +8,7 @@ import json
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from imolo.config.simulation import BallConfig
 from imolo.contracts.trial import EventName
@@ -32,7 +32,7 @@ SHAPES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "text
 BALL_COLOR, MARKER_COLOR, TARGET_COLOR, PATH_COLOR = (0.9, 0.2, 0.1), (0.3, 0.5, 0.9), (0.1, 0.7, 0.3), (0.9, 0.6, 0.1)
 
 
-def write_mcap(events: TrialEvents, path: Path, source: str) -> None:
+def write_mcap(events: TrialEvents, file: BinaryIO, source: str) -> None:
     """Write the messages of a log as MCAP.
 
     Every time that Foxglove looks at is on the clock of the recording, which rises from trial to trial, while the clock
@@ -40,7 +40,7 @@ def write_mcap(events: TrialEvents, path: Path, source: str) -> None:
 
     Args:
         events: Of the log.
-        path: File to write.
+        file: Where to write.
         source: What the file is made of, for `source_of`.
 
     Raises:
@@ -50,24 +50,23 @@ def write_mcap(events: TrialEvents, path: Path, source: str) -> None:
         ResultsError: The log is stamped before zero, or after the last time that MCAP knows.
     """
     writer_module = import_extra("mcap.writer", "export")
-    with path.open("wb") as file:
-        writer = writer_module.Writer(file)
-        writer.start(profile="", library="imolo")
-        topics: dict[str, int] = {}
-        for utime, topic, schema_name, schema, content in _messages(events):
-            if topic not in topics:
-                schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
-                topics[topic] = writer.register_channel(topic, "json", schema_id)
-            nanoseconds = 1000 * utime
-            if not 0 <= nanoseconds <= LAST_TIME:
-                raise ResultsError(
-                    f"{events.reader.path} has a message recorded at {utime} us, and MCAP has times from 0 to "
-                    f"{LAST_TIME // 1000} us only; is the log stamped in microseconds? --to csv takes any time"
-                )
-            data = json.dumps(content, allow_nan=True).encode()
-            writer.add_message(topics[topic], nanoseconds, data, nanoseconds)
-        writer.add_metadata(METADATA, {"source": source})
-        writer.finish()
+    writer = writer_module.Writer(file)
+    writer.start(profile="", library="imolo")
+    topics: dict[str, int] = {}
+    for utime, topic, schema_name, schema, content in _messages(events):
+        if topic not in topics:
+            schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
+            topics[topic] = writer.register_channel(topic, "json", schema_id)
+        nanoseconds = 1000 * utime
+        if not 0 <= nanoseconds <= LAST_TIME:
+            raise ResultsError(
+                f"{events.reader.path} has a message recorded at {utime} us, and MCAP has times from 0 to "
+                f"{LAST_TIME // 1000} us only; is the log stamped in microseconds? --to csv takes any time"
+            )
+        data = json.dumps(content, allow_nan=True).encode()
+        writer.add_message(topics[topic], nanoseconds, data, nanoseconds)
+    writer.add_metadata(METADATA, {"source": source})
+    writer.finish()
 
 
 def source_of(path: Path) -> str | None:

@@ -19,6 +19,7 @@ from imolo.messaging.log_file import LogReader
 REFRESH = 0.25  # [s] between two pictures of a live table
 STALE = 1.0  # [s] of silence after which a channel is shown dim
 WIDE = 110  # [characters] from which on there is room for the type of a channel
+CHANNEL_WIDTH = 24  # [characters] of names of channels, of which others have any length
 
 
 def log_table(path: Path, width: int, trial: int | None = None) -> Table:
@@ -87,7 +88,7 @@ def watch(url: str, console: Console, seconds: float | None = None) -> None:
 
 def _empty_table(title: str, age: str, width: int) -> Table:
     table = Table(title=escape(plain(title)), title_justify="left", box=box.SIMPLE_HEAD, padding=0, expand=True)
-    table.add_column("channel", no_wrap=True)
+    table.add_column("channel", no_wrap=True, overflow="ellipsis", max_width=CHANNEL_WIDTH)
     if width >= WIDE:
         table.add_column("type", no_wrap=True)
     for column in ("count", "rate\nHz", f"{age}\ns", "jitter\nms", "missing"):

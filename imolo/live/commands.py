@@ -62,7 +62,7 @@ def planner(
 
 @app.command()
 def record(
-    out: Annotated[Path, typer.Option(help="Log to write; an older one is never replaced.")] = Path(
+    out: Annotated[Path, typer.Option(help="Log to write, or a folder for it; an older one is never replaced.")] = Path(
         "results/live/session.lcmlog"
     ),
     bus: PlainBusUrl = LOCAL_URL,
@@ -142,5 +142,5 @@ def _table(given: Path | None, config: "ExperimentConfig", method: str) -> Path:
         return given
     path = Path(f"results/demo/tables/{config.backend.name}_{method}.npz")
     if not path.is_file():
-        raise TableFileError(f"there is no table {path}; `make demo` or `imolo learn` makes one, --table names it")
+        raise TableFileError(f"there is no table {path}; `imolo learn` makes one, --table names it")
     return path

@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from imolo_msgs import heartbeat_t
 
 BEAT = 0.1  # [s] between two heartbeats
 SILENCE = 1.0  # [s] without a heartbeat until a program counts as lost, assumed: ten beats, for a busy machine
+MOST_PEERS = 32  # programs of one session, and of those that have left it that are remembered; assumed
 ECHO = 2.0  # [s] until a program must have heard its own heartbeat
 ALONE = (Role.BACKEND, Role.PLANNER)  # of which a bus carries one each
 
@@ -64,7 +66,8 @@ class Node:
         self.activity = "starting"
         self._bus, self._identity, self._say, self._now = bus, identity, say, now
         self._peers: dict[int, Peer] = {}
-        self._gone: set[int] = set()
+        self._gone: deque[int] = deque(maxlen=MOST_PEERS)
+        self._crowded = False
         self._told = ""
         self._unreadable = False
         self._begin = now()
@@ -135,12 +138,23 @@ class Node:
 
     def _hear(self, role: Role, message: heartbeat_t) -> None:
         peer = self._peers.get(message.instance)
+        if peer is None and (message.leaving or self._is_crowded()):
+            return
         if peer is None:
             peer = self._welcome(role, message)
         peer.seen, peer.activity = self._now(), message.activity
         if message.leaving:
-            self._gone.add(peer.instance)
+            self._gone.append(peer.instance)
             self._forget(peer, f"{peer} has left")
+
+    def _is_crowded(self) -> bool:
+        """Return whether there are more programs than any session has, and say so once."""
+        if len(self._peers) < MOST_PEERS:
+            return False
+        if not self._crowded:
+            self._crowded = True
+            self._say(f"more than {MOST_PEERS} programs are on this bus; newcomers are passed over, give another --bus")
+        return True
 
     def _welcome(self, role: Role, message: heartbeat_t) -> Peer:
         sections = dict(zip(message.section, message.section_digest, strict=True))

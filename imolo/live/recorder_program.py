@@ -15,6 +15,7 @@ from imolo.messaging.bus import Bus
 
 # The parts of the numbered exchange repeat what the other channels carry.
 LEFT_OUT = (channels.STEP_REQUEST, channels.STEP_ANSWER)
+SESSION = "session.lcmlog"
 CHUNK = 1 << 16  # [bytes] written at once where messages come without a pause
 _SYNC = 0xEDA1DA01
 _HEADER = struct.Struct(">IqqII")  # of an LCM event: sync word, number, time [µs], lengths of channel and data
@@ -62,7 +63,11 @@ class EventFile:
 
 
 def free_path(path: Path) -> Path:
-    """Return `path`, or the first of path_1, path_2 ... that does not exist: a log is never overwritten."""
+    """Return `path`, or the first of path_1, path_2 ... that does not exist: a log is never overwritten.
+
+    In a folder it is `session.lcmlog`.
+    """
+    path = path / SESSION if path.is_dir() else path
     number, free = 0, path
     while free.exists():
         number += 1

@@ -20,7 +20,7 @@ from imolo.report.plausibility import check_numbers, check_result
 from imolo.trials.metrics import MethodResult, Statistic, TrialResult
 
 MOST_BYTES = 100_000_000  # the summary of 10,000 balls has 5,000,000
-AGAIN = "run `imolo compare` again, or restore the file"
+AGAIN = "run `imolo compare` or `imolo hit` again, or restore the file"
 
 Content = TypeVar("Content", bound=BaseModel)
 
@@ -80,18 +80,10 @@ def read_campaign(path: Path) -> Campaign | None:
     folder = ResultsFolder(path)
     text = read_text(path / "summary.json")
     configs, texts = _read_configs(path)
-    timings: Timings | None = None
-    if '"results"' in text:
-        summary = parse(Comparison, text, path / "summary.json")
-        results = summary.results
-        seed, versions, digests, disagreement = summary.seed, summary.versions, summary.configs, summary.disagreement
-        if (path / "timing.json").exists():
-            timings = parse(Timings, read_text(path / "timing.json"), path / "timing.json")
-    else:
-        # `imolo hit` plays one method on one backend and leaves their names to the folders.
-        backend, method = _only_group(path)
-        results = {backend: {method: parse(MethodResult, text, path / "summary.json")}}
-        seed, versions, digests, disagreement = configs[backend].seed if backend in configs else 0, {}, {}, {}
+    summary = parse(Comparison, text, path / "summary.json")
+    results, timings = summary.results, None
+    if (path / "timing.json").exists():
+        timings = parse(Timings, read_text(path / "timing.json"), path / "timing.json")
     for backend, methods in results.items():
         file = path / "configs" / f"{backend}.yaml"
         if backend not in configs:
@@ -107,12 +99,12 @@ def read_campaign(path: Path) -> Campaign | None:
         results=results,
         configs={backend: configs[backend] for backend in results},
         config_texts={backend: texts[backend] for backend in results},
-        trials=tuple(_trials(folder, results, seed)),
+        trials=tuple(_trials(folder, results, summary.seed)),
         timings=timings,
-        seed=seed,
-        versions=versions,
-        digests=digests,
-        disagreement=disagreement,
+        seed=summary.seed,
+        versions=summary.versions,
+        digests=summary.configs,
+        disagreement=summary.disagreement,
     )
 
 
@@ -169,16 +161,6 @@ def _refuse_older(content: Any, file: Path) -> None:
         raise ResultsError(
             f"{file} was written before robots were plug-ins; read it with imolo 0.1, or run `imolo compare` again"
         )
-
-
-def _only_group(path: Path) -> tuple[str, str]:
-    groups = sorted({log.parent for log in (path / "logs").glob("*/*/hit_*.lcmlog")})
-    if len(groups) != 1:
-        raise ResultsError(
-            f"{path / 'summary.json'} is of one method on one backend, but the logs beside it are of {len(groups)}; "
-            "give each `imolo hit` an --out of its own"
-        )
-    return groups[0].parent.name, groups[0].name
 
 
 def _trials(folder: ResultsFolder, results: dict[str, dict[str, MethodResult]], seed: int) -> Iterator[ReportedTrial]:

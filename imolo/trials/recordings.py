@@ -1,5 +1,7 @@
 """What a log says about hand and ball, in the terms of the method; simulation and robot are read alike."""
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -16,6 +18,8 @@ from imolo.method.motion import MotionTemplate, Theta
 from imolo_msgs import marker_t, mocap_frame_t, plan_t
 
 Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
 
 SHOWN = (channels.MOCAP, channels.PLAN, channels.TRIAL)
 """Channels of a log that say where hand and ball were, and of what motion."""
@@ -63,8 +67,11 @@ def effector_of(plan: plan_t, body: Body) -> int:
 
 
 def theta_of(plan: plan_t, motion: MotionTemplate) -> Theta:
-    """Return theta; empty where the plan's is not one of the template, as that of a planner that knows none."""
-    return tuple(plan.theta) if len(plan.theta) == len(motion.parameters) else ()
+    """Return theta; empty where the planner knows none, or one of another motion, which is told."""
+    known = len(motion.parameters)
+    if len(plan.theta) not in (0, known):
+        logger.warning("a PLAN has a theta of %d values, the motion has %d; it is passed over", len(plan.theta), known)
+    return tuple(plan.theta) if len(plan.theta) == known else ()
 
 
 def hand_in_swing(log: Log, config: ExperimentConfig) -> Array | None:

@@ -25,7 +25,7 @@ class heartbeat_t(object):
 
         self.role = ""
         """
-        One of: backend, planner, recorder.
+        One of: backend, planner, recorder, operator (asks for throws).
         LCM Type: string
         """
 

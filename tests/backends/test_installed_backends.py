@@ -56,6 +56,13 @@ def test_backends_says_how_to_get_a_missing_engine(run: Run) -> None:
     assert "pip install 'imolo[pybullet]'" in " ".join(output.split())
 
 
+def test_extra_without_a_wheel_for_this_python_is_not_advised() -> None:
+    requires = ["numpy>=1", "dartpy>=6; extra == 'dart'", "pybullet>=3; python_version < '3' and extra == 'pybullet'"]
+    assert registry.installs("dart", requires)
+    assert not registry.installs("pybullet", requires)
+    assert not registry.installs("none", requires)
+
+
 @pytest.mark.parametrize("wrong", [None, ModuleType("ode")], ids=["none", "another package of this name"])
 def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
     run: Run, monkeypatch: pytest.MonkeyPatch, wrong: ModuleType | None

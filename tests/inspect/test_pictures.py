@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zstandard
 from command_line import Run
-from recorded_trials import Recorded
+from recorded_trials import Recorded, write_events
 from requirements import needs
 
 from imolo.config.loading import known_body
@@ -177,6 +177,18 @@ def test_top_shows_every_channel_of_a_log(
     assert all(re.search(rf"^ {name} ", output, flags=re.MULTILINE) for name in channels.STREAMS)
     assert ("mocap_frame_t" in output) == (width == 140)
     assert max(map(len, output.splitlines())) <= width
+
+
+def test_long_name_of_a_channel_leaves_room_for_the_numbers(
+    recorded: Recorded, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imolo.inspect.commands.console.width", 80)
+    events = list(read_events(recorded.first))
+    long = [event._replace(channel="/robot/left/arm/joint_states" * 3) for event in events[:10]]
+    code, output, _ = run("top", write_events(tmp_path / "long.lcmlog", [*events, *long]))
+    (line,) = (line for line in output.splitlines() if line.startswith(" MOCAP "))
+    assert code == 0
+    assert line.split()[1] == str(sum(event.channel == channels.MOCAP for event in events))
 
 
 @pytest.mark.parametrize("mark", [pytest.param(None, marks=needs("netns"))], ids=["udpm"])

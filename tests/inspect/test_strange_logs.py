@@ -104,7 +104,7 @@ def test_every_command_shows_a_strange_log_or_says_why_not(
         assert "\x1b[31m" not in output + errors
         assert not any("damaged" in message for message in caplog.messages) or name == "another type"
         assert sum("steps back" in message for message in caplog.messages) == (name == "stepping back")
-    assert not [left for left in Path().rglob("*") if left.name.endswith(".part")]
+    assert not [left for left in Path().rglob("*") if left.name.endswith(".tmp")]
     if name in NOT_IN_MCAP:
         assert not Path("x.mcap").exists()
 

@@ -77,6 +77,13 @@ def test_messages_without_a_pause_are_written_in_chunks(tmp_path: Path) -> None:
     file.close()
 
 
+def test_log_in_a_folder_is_a_session(tmp_path: Path) -> None:
+    for name in ("session.lcmlog", "session_1.lcmlog"):
+        free = free_path(tmp_path)
+        assert free == tmp_path / name
+        EventFile(free).close()
+
+
 def test_older_log_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "session.lcmlog"
     for name in ("session.lcmlog", "session_1.lcmlog", "session_2.lcmlog"):

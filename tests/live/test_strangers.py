@@ -3,6 +3,7 @@
 import re
 import struct
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,24 @@ import pytest
 from live_table import Learned
 from network import URL
 from programs import PATIENCE, lab
+from tries import tries
 
 from imolo.config.loading import config_for
 from imolo.contracts.trial import EventName
 from imolo.errors import TrialVoidError
+from imolo.inspect.statistics import BusStatistics
 from imolo.live.identity import Identity, Role, shared_sections
 from imolo.live.lockstep import Asker
-from imolo.live.node import SILENCE, Node
+from imolo.live.node import MOST_PEERS, SILENCE, Node
 from imolo.live.planner_program import PlannerProgram
 from imolo.live.program import Console, Stop
+from imolo.live.recorder_program import CHUNK, RecorderProgram
 from imolo.live.remote_planner import VENTED, LockstepPlanner, RealtimePlanner
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
 from imolo.messaging.log import read_log
+from imolo.messaging.log_file import read_events
 from imolo_msgs import actuator_command_t, envelope_t, heartbeat_t, mocap_frame_t, step_answer_t, step_request_t
 
 CONFIG = config_for("mujoco")
@@ -222,6 +227,17 @@ def test_heartbeat_of_another_backend_does_not_part_planner_and_backend() -> Non
     assert listener.frames == [8333]
 
 
+def test_crowd_of_programs_is_told_once_and_remembered_no_more() -> None:
+    bus, said = Bus(), []
+    node = Node(bus, PLANNER, said.append)
+    for number in range(1, 3 * MOST_PEERS):
+        bus.publish(channels.HEARTBEAT, heartbeat(node, node.instance + number))
+    bus.drain()
+    assert len(node._peers) == MOST_PEERS
+    assert sum("is here" in line for line in said) == MOST_PEERS
+    assert sum("newcomers are passed over" in line for line in said) == 1
+
+
 @pytest.mark.parametrize("identity", [BACKEND, PLANNER])
 def test_newcomer_gives_way_and_a_program_at_work_does_not(identity: Identity) -> None:
     bus, said, now = Bus(), [], 0.0
@@ -234,6 +250,93 @@ def test_newcomer_gives_way_and_a_program_at_work_does_not(identity: Identity) -
         bus.publish(channels.HEARTBEAT, early)
         bus.drain()
     assert sum("has come to this bus; it is passed over" in line for line in said) == 1
+
+
+def spoofed(rng: np.random.Generator, planner: int) -> tuple[str, bytes]:
+    """Return what a stranger may send: noise, other types, parts of types, types of ours that say nothing true."""
+    channel = str(rng.choice(list(CHANNELS)))
+    message = CHANNELS[str(rng.choice(list(CHANNELS)))].message_type()
+    if isinstance(message, heartbeat_t):
+        # Started later; to one that was there before, a backend that is at its beginning gives way.
+        message.instance = planner + int(rng.integers(1, 2**40))
+        message.role = str(rng.choice(["backend", "planner", "nobody"]))
+    if isinstance(message, step_answer_t):
+        message.answering_planner = planner
+    if isinstance(message, actuator_command_t) and channel == channels.ACTUATOR_COMMAND:
+        return channel, NOISE  # a true one is a second commander, which voids the trial; that is tested above
+    whole = message.encode()
+    if rng.random() < 0.3:
+        whole = whole[: rng.integers(len(whole) + 1)]
+    if rng.random() < 0.3:
+        whole += rng.bytes(int(rng.integers(1, 50)))
+    return channel, rng.bytes(int(rng.integers(60))) if rng.random() < 0.2 else whole
+
+
+def test_spoofed_messages_move_nothing_and_cost_no_memory() -> None:
+    stage, rng, count = Stage(), np.random.default_rng(1), tries(2000)
+    stage.frame(1000)
+    stage.command(1000, stage.planner.instance)
+    stage.step(1000)
+    before = 0
+    tracemalloc.start()
+    try:
+        for number in range(count):
+            stage.bus.publish_raw(*spoofed(rng, stage.planner.instance))
+            if number % 50 == 0:
+                stage.bus.drain()
+            if number == count // 2:
+                before = tracemalloc.get_traced_memory()[0]
+        stage.bus.drain()
+        assert tracemalloc.get_traced_memory()[0] - before < 200_000
+    finally:
+        tracemalloc.stop()
+    stage.inside.drain()
+    assert stage.trial.lost == ""
+    assert [message.commander for message in stage.heard] == [stage.planner.instance]
+    # One line for each program that seems to be there, and there are not more of them than a session has.
+    assert len(stage.console.lines) < MOST_PEERS + 20
+    assert len(stage.node._peers) <= MOST_PEERS
+
+
+def test_session_of_many_balls_keeps_its_memory_and_its_files(tmp_path: Path) -> None:
+    """Recorder, planner and the statistics of `imolo top`, all on one bus."""
+    balls, frames = tries(100), 20
+    bus, heard = Bus(), 0
+
+    class Counting(Listener):
+        def attach(self, bus: Bus) -> None:
+            bus.subscribe(channels.MOCAP, self.count)
+
+        def count(self, _: mocap_frame_t) -> None:
+            nonlocal heard
+            heard += 1
+
+    backend, statistics = Node(bus, BACKEND, lambda _: None), BusStatistics()
+    recorder = RecorderProgram(bus, tmp_path / "session.lcmlog", Said())
+    PlannerProgram(bus, Counting(), PLANNER, Said())
+    bus.subscribe_raw(lambda channel, data: statistics.add(channel, data, 0.0))
+    backend._beat(0.0)
+    frame, number, used, descriptors = mocap_frame_t(), 0, [], []
+    tracemalloc.start()
+    try:
+        for ball in range(balls):
+            for step in range(frames):
+                number += 1
+                frame.utime = 8333 * (step + 1)
+                asked = request(backend.instance, number, channels.MOCAP, frame.encode())
+                bus.publish(channels.STEP_REQUEST, asked)
+                bus.publish(channels.MOCAP, frame)
+                bus.drain()
+            if ball in (balls // 2, balls - 1):
+                used.append(tracemalloc.get_traced_memory()[0])
+                descriptors.append(len(list(Path("/proc/self/fd").iterdir())))
+    finally:
+        tracemalloc.stop()
+        recorder._file.close()
+    assert heard == balls * frames
+    assert used[1] - used[0] < 200_000 + CHUNK
+    assert descriptors[0] == descriptors[1]
+    assert sum(event.channel == channels.MOCAP for event in read_events(tmp_path / "session.lcmlog")) == balls * frames
 
 
 @pytest.mark.usefixtures("network")

@@ -8,6 +8,7 @@ import lcm
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tries import tries
 
 from imolo.errors import BusError
 from imolo.messaging import channels
@@ -131,7 +132,7 @@ def test_damaged_message_is_passed_over_and_told(whole: bytes, starts: list[int]
     ]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=tries(200), deadline=None)
 @given(data=st.data())
 def test_any_damage_costs_no_more_than_it_touches(
     whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -155,7 +156,7 @@ def test_any_damage_costs_no_more_than_it_touches(
     assert set(untouched) <= set(found)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=tries(200), deadline=None)
 @given(content=st.lists(st.one_of(st.binary(max_size=40), st.just(SYNC)), max_size=12).map(b"".join))
 def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "bytes.lcmlog"

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rough_tables import ROUGH, SHARP, TABLE, fitted, rough_table
+from tries import tries
 
 from imolo.errors import TableFileError
 from imolo.method import table_file
@@ -60,7 +61,7 @@ def test_model_is_refitted_from_the_file(config: ForwardModelConfig, tmp_path: P
     )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=tries(80), deadline=None)
 @given(data=st.data())
 def test_truncated_file_is_refused(saved: bytes, data: st.DataObject) -> None:
     length = data.draw(st.integers(0, len(saved) - 1))
@@ -68,7 +69,7 @@ def test_truncated_file_is_refused(saved: bytes, data: st.DataObject) -> None:
         load(saved[:length])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(150), deadline=None)
 @given(data=st.data())
 def test_file_with_flipped_bytes_is_refused_or_read_unharmed(saved: bytes, data: st.DataObject) -> None:
     # The directory of a zip file, its last kilobyte, is the part that carries no sum of its own.

@@ -38,6 +38,11 @@ def test_custom_starts_from_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_custom_of_every_kind_starts_from_nothing(kind: type[DisturbanceConfig]) -> None:
+    assert set(kind(profile="custom").model_dump(exclude={"profile"}).values()) == {0.0}
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["none", "realistic"])
 def test_named_profile_sets_every_value(kind: type[DisturbanceConfig], name: str) -> None:
     config = kind.model_validate({"profile": name})

@@ -12,10 +12,12 @@ import pytest
 import yaml
 from results_folder import BALLS, METHODS, make_results
 
-from imolo.campaigns.comparison import Comparison
+from imolo.campaigns.comparison import Comparison, summarise
 from imolo.campaigns.results import ResultsFolder
 from imolo.campaigns.summary import millimetres
 from imolo.command_line.main import main
+from imolo.config.experiment import PluginConfig
+from imolo.config.loading import config_for
 from imolo.errors import ImoloError, ResultsError
 from imolo.report.page import write_report
 from imolo.studies.transfer import Cell, Transfer
@@ -278,7 +280,13 @@ def test_trial_without_its_log_is_listed_but_cannot_be_replayed(tmp_path: Path) 
 def test_results_of_one_method_are_read_as_imolo_hit_writes_them(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "results", backends=("alpha",))
     summary = Comparison.model_validate_json((folder.path / "summary.json").read_text())
-    folder.save_json("summary.json", summary.results["alpha"]["paper"])
+    config = config_for("mujoco").model_copy(update={"backend": PluginConfig(name="mujoco")})
+    results = {"alpha": {"paper": summary.results["alpha"]["paper"]}}
+    written = summarise({"mujoco": config}, results, disagreement={})
+    folder.save_json("summary.json", written)
+    assert written.configs == {"mujoco": config.digest()}
+    assert {"python", "imolo", "backend mujoco"} <= written.versions.keys()
+    assert (written.seed, written.robot, written.task) == (config.seed, config.robot.name, config.task.name)
     (folder.path / "timing.json").unlink()
     for log in folder.hits("alpha", "improved").iterdir():
         log.unlink()

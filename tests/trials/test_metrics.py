@@ -15,7 +15,7 @@ from imolo.errors import TrainingDataError
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.trials.metrics import HORIZONS, Statistic, TrialResult, judge_campaign, judge_trial, wilson_interval
-from imolo.trials.recordings import hand_at, hand_samples, last_plan, merge
+from imolo.trials.recordings import hand_at, hand_samples, last_plan, merge, theta_of
 from imolo_msgs import ball_state_t, marker_t, plan_t
 
 ONSET, HIT_UTIME = 200_000, 700_000  # [µs]
@@ -237,3 +237,15 @@ def test_campaign_counts_hits_motions_and_errors_that_there_are() -> None:
     assert campaign.hand_error.count == 2
     assert campaign.prediction_error["0.25"].mean == pytest.approx(0.015)
     assert campaign.prediction_error["0.75"].count == 0
+
+
+@pytest.mark.parametrize(
+    ("theta", "known", "told"),
+    [((0.3, 0.33), True, 0), ((), False, 0), ((0.3,), False, 1), ((0.3, 0.33, 0.1), False, 1)],
+)
+def test_theta_of_another_motion_is_told(
+    theta: tuple[float, ...], known: bool, told: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    message = plan(0, theta=list(theta))
+    assert theta_of(message, CONFIG.motion) == (theta if known else ())
+    assert sum(f"a PLAN has a theta of {len(theta)} values, the motion has 2" in one for one in caplog.messages) == told

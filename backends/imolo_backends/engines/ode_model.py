@@ -16,7 +16,7 @@ try:
 
     ode.HingeJoint  # noqa: B018 - PyPI has another package of this name
 except (ImportError, AttributeError) as error:
-    raise ImportError(f"{error}; get the Open Dynamics Engine with: make ode") from error
+    raise ImportError(f"{error}; get the Open Dynamics Engine with `make ode` in imolo's source folder") from error
 
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10

@@ -118,9 +118,11 @@ class BoardServer:
             self.close()
 
     def close(self) -> None:
-        """Vent, then let everybody go."""
+        """Vent, tell everybody and let them go."""
         self.board.disarm(self._clock(), "the board program ended")
         self.board.tick(self._clock())
+        self._stream(self._clock())
+        self._tell_change()
         for connection in self._connections:
             connection.close()
         self._connections.clear()
@@ -142,6 +144,9 @@ class BoardServer:
         self.board.tick(now)
         if now >= self._next_state:
             self._stream(now)
+        self._tell_change()
+
+    def _tell_change(self) -> None:
         if (told := (self.board.state, self.board.cause)) != self._told:
             self._told = told
             self._say(f"{told[0].name.lower()}{': ' if told[1] else ''}{told[1]}")

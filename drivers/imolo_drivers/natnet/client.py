@@ -12,11 +12,12 @@ from imolo_drivers.natnet.clock import ServerClock
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.decoder import decode
 from imolo_drivers.natnet.encoder import encode
-from imolo_drivers.natnet.wire import MAX_PACKET, SUPPORTED
+from imolo_drivers.natnet.wire import MAX_PACKET, SUPPORTED, MessageId
 
 logger = logging.getLogger(__name__)
 
 LATE_FRAMES = 120  # a number up to this far back is a late frame, farther back a restart; assumed: 1 s at 120 Hz
+LATE_IN_ORDER = 3  # so many late ones that count upwards are a restart, such as a take in a loop; assumed
 MOST_PACKETS = 500  # in one poll, so that a flood cannot hold it up; assumed: 4 s at 120 Hz
 REQUEST_VERSION = SUPPORTED[0]  # what a client says looks the same in all of them
 
@@ -28,9 +29,10 @@ class NatNetClient:
         server: What the server said of itself; None before that.
         definitions: The models it streams; None before it said so.
         lost: Frames whose numbers never came.
-        late: Frames that came after a later one, or twice, and were left out.
+        late: Frames that came after a later one, or twice, or began a take anew, and were left out.
         unreadable: Packets of the server that could not be decoded.
         last_problem: What was wrong with the last of those, empty if there was none.
+        elsewhere: Address that answered in the place of the server's; empty if none did.
     """
 
     def __init__(self, config: NatNetConfig) -> None:
@@ -41,15 +43,18 @@ class NatNetClient:
         """
         self.server: m.ServerInfo | None = None
         self.definitions: m.ModelDefinitions | None = None
+        self._outdated = False  # the definitions, which are good until others have come
         self.lost = 0
         self.late = 0
         self.unreadable = 0
         self.last_problem = ""
+        self.elsewhere = ""
         self._config = config
         self._server_address = str(config.server_address)
         self._local_address = str(config.local_address)
         self._clock: ServerClock | None = None
         self._last_number: int | None = None
+        self._late_numbers: list[int] = []  # since the last frame that was none
         self._last_frame = -float("inf")
         self._started: float | None = None
         self._due: dict[type[m.Message], float] = {}
@@ -104,6 +109,20 @@ class NatNetClient:
         """Return whether frames are missing for the `silence_limit`."""
         return now >= self.lost_at
 
+    def missing(self, patience: float) -> str:
+        """Return a sentence about frames that have not come for `patience` [s], and about what came in their place."""
+        config = self._config
+        if self.last_problem:
+            came = f"{self.unreadable} packets from there cannot be read, the last one: {self.last_problem}"
+        elif self.server is not None:
+            what = "no frames" if self.definitions is not None else "no model definitions"
+            came = f"{self.server.name} answers but sends {what}; is it streaming, and is its take not paused?"
+        elif self.elsewhere:
+            came = f"{self.elsewhere} answers in its place; is that to be cameras.server_address?"
+        else:
+            came = "nothing came; is it streaming, and is cameras.local_address the network card towards it?"
+        return f"no frames from Motive at {config.server_address}:{config.command_port} within {patience:g} s: {came}"
+
     def exposure_time(self, frame: m.Frame) -> tuple[float, float] | None:
         """Return our time of the middle of a frame's exposure and its greatest error [s].
 
@@ -152,6 +171,7 @@ class NatNetClient:
         except OSError:  # nothing there after all, or the network's echo of something that we sent
             return
         if address != self._server_address:
+            self.elsewhere = address
             return
         try:
             message = decode(packet, self.server.natnet_version if self.server else None)
@@ -159,7 +179,9 @@ class NatNetClient:
             raise
         except NatNetError as problem:
             self.unreadable += 1
-            self.last_problem = str(problem)
+            # That frames cannot be read before the server has told its version says less than why it has not.
+            if self.server is not None or packet[:1] != bytes([MessageId.FRAME]) or not self.last_problem:
+                self.last_problem = str(problem)
             logger.debug("unreadable packet from Motive: %s", problem)
             return
         match message:
@@ -168,7 +190,7 @@ class NatNetClient:
             case m.ServerInfo():
                 self._take_server(message, now)
             case m.ModelDefinitions():
-                self.definitions = message
+                self.definitions, self._outdated = message, False
             case m.EchoResponse(sent, ticks) if sent == self._echo_sent and self._clock is not None:
                 self._echo_sent = None
                 self._clock.add_echo(sent * 1e-9, ticks, now)
@@ -176,15 +198,22 @@ class NatNetClient:
     def _take_frame(self, frame: m.Frame, now: float, frames: list[m.Frame]) -> None:
         if self._last_number is not None:
             step = frame.number - self._last_number
-            if -LATE_FRAMES <= step <= 0:
+            if -LATE_FRAMES <= step <= 0 and not self._counts_anew(frame.number):
                 self.late += 1
                 return
             self.lost += max(step - 1, 0)
+        self._late_numbers.clear()
         self._last_number = frame.number
         self._last_frame = now
-        if frame.models_changed:
-            self.definitions = None
+        self._outdated |= frame.models_changed
         frames.append(frame)
+
+    def _counts_anew(self, number: int) -> bool:
+        """Return whether a late frame is one of several that count upwards, with none between them that is not late."""
+        if self._late_numbers and number <= self._late_numbers[-1]:
+            self._late_numbers.clear()
+        self._late_numbers.append(number)
+        return len(self._late_numbers) >= LATE_IN_ORDER
 
     def _take_server(self, server: m.ServerInfo, now: float) -> None:
         known, self.server = self.server, server
@@ -206,7 +235,7 @@ class NatNetClient:
             self._say(m.Connect(), now, config.retry_interval)
         if self.server is None:
             return
-        if self.definitions is None:
+        if self.definitions is None or self._outdated:
             self._say(m.ModelDefinitionsRequest(), now, config.retry_interval)
         if self.server.multicast_group is None:
             self._say(m.KeepAlive(), now, config.keep_alive_interval)

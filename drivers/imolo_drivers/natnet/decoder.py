@@ -97,8 +97,8 @@ class _Reader:
         self.at = end + 1
         try:
             return name.decode()
-        except UnicodeDecodeError:
-            raise NatNetError(f"damaged packet: the name {name!r} is not UTF-8") from None
+        except UnicodeDecodeError:  # a name in the alphabet of Motive's Windows, most often the Western one
+            return name.decode("cp1252", errors="backslashreplace")
 
     def rest(self) -> bytes:
         rest = self.data[self.at : self.end]
@@ -323,6 +323,8 @@ def _server_info(reader: _Reader) -> m.ServerInfo:
     versions = reader.read(wire.VERSIONS)
     natnet_version = (versions[4], versions[5])
     wire.check_version(natnet_version)
+    if reader.left < wire.CONNECTION.size:
+        raise NatNetError(f"the answer of server {name!r} is too short: it tells no clock, and so no time of exposure")
     clock_frequency, data_port, is_multicast, group = reader.read(wire.CONNECTION)
     if clock_frequency == 0:
         raise NatNetError(f"damaged packet: the clock of server {name!r} has 0 ticks per second")

@@ -18,8 +18,11 @@ from board_link import PATIENCE
 from typer.testing import CliRunner
 
 from imolo.command_line.main import app
-from imolo_drivers.board.client import BoardClient
+from imolo_drivers.board.board import BoardState
+from imolo_drivers.board.client import BoardClient, LinkLostError
+from imolo_drivers.board.command import make_command
 from imolo_drivers.board.handshake import ClientRole
+from imolo_drivers.board.server import monotonic_utime
 from imolo_drivers.board.supervision import Supervisor
 
 # All that end or stop a program by default; SIGKILL and SIGSTOP cannot be caught, and the rest is a crash.
@@ -30,9 +33,9 @@ CAUGHT = [
 
 
 @contextlib.contextmanager
-def board_program(**environment: str) -> Iterator[tuple["subprocess.Popen[str]", int]]:
+def board_program(*config: str, **environment: str) -> Iterator[tuple["subprocess.Popen[str]", int]]:
     """Run `imolo board`; yields it and its port."""
-    command = [sys.executable, "-m", "imolo.command_line.main", "board", "--listen", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "imolo.command_line.main", "board", *config, "--listen", "127.0.0.1:0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}) as program:
         try:
             assert program.stderr is not None
@@ -51,18 +54,27 @@ def hears(systemd: socket.socket) -> bool:
 @pytest.mark.parametrize(
     "name", [CAUGHT[0], CAUGHT[2], *[pytest.param(name, marks=pytest.mark.slow) for name in CAUGHT]]
 )
-def test_signal_ends_the_board_vented(name: str) -> None:
-    """Armed, so that the last state that it tells and the line that it prints show that it has vented."""
-    with board_program() as (program, port):
+def test_signal_ends_the_board_vented(name: str, tmp_path: Path) -> None:
+    """It holds pressure; the last state that it tells shows that it has let go of it."""
+    (tmp_path / "board.yaml").write_text("name: arm\nchannels: [{name: a}]\nwatchdog: 1.0\nrise_limit: 0.0\n")
+    with board_program(str(tmp_path / "board.yaml")) as (program, port):
         client = BoardClient(("127.0.0.1", port), ClientRole.CONTROLLER, "test")
         operator = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test")
-        client.ask_time()
-        operator.arm(client.welcome.controller_session, "test")
-        assert operator.wait(lambda: operator.state.num_armed == 1, PATIENCE)
-        program.send_signal(getattr(signal, name))
-        assert program.wait(PATIENCE) == 0
-        client.close()
-        operator.close()
+        with contextlib.closing(client), contextlib.closing(operator):
+            client.synchronise()
+            operator.arm(client.welcome.controller_session, "test")
+            assert operator.wait(lambda: operator.state.num_armed == 1, PATIENCE)
+            now = monotonic_utime() + client.offset.utime
+            client.command(make_command(1, now, (now + 5_000_000,), ((3e5,),)))
+            assert operator.wait(lambda: operator.state.given_target == (3e5,), PATIENCE)
+            program.send_signal(getattr(signal, name))
+            assert program.wait(PATIENCE) == 0
+            # What was said before the end can still be read.
+            with pytest.raises(LinkLostError):
+                operator.wait(lambda: False, PATIENCE)
+            assert operator.state.given_target == (0.0,)
+            assert BoardState(operator.state.board_state) is BoardState.VENTED
+            assert operator.state.state_cause == "the board program ended"
 
 
 def test_every_signal_that_ends_a_program_is_caught() -> None:

@@ -68,6 +68,7 @@ class ScriptedRobot:
         self.server = BoardServer(board, self.valves, ("127.0.0.1", 0), self.said.append, on_trial=self._announce)
         self.motive = NatNetServer(NatNetServerConfig(command_port=0), version, definitions=_definitions())
         self.packets: list[bytes] = []
+        self.exposed: Callable[[float], float] = float  # [s] what the cameras say of a frame of that time
         self._throws = self._moves = False
         self._faults, self._armed, self._due, self._start = faults, armed, False, math.inf
         self._numbers, self._next = 0, time.monotonic()
@@ -113,7 +114,7 @@ class ScriptedRobot:
         self._numbers += 1
         markers = self._faults(now - self._start, self._markers(now - self._start))
         if markers is not None:
-            self.motive.send(Frame(self._numbers, now, self.motive.ticks(now), tuple(markers)))
+            self.motive.send(Frame(self._numbers, now, self.motive.ticks(self.exposed(now)), tuple(markers)))
 
     def _markers(self, elapsed: float) -> list[LabelledMarker]:
         """Return the resting robot, and a ball that falls onto the floor in front of it."""

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from imolo.command_line.main import app
 from imolo.config.loading import body_of, config_for
 from imolo.errors import BackendNotFoundError, CalibrationError, ConfigError
 from imolo_drivers.natnet.calibration import Z_UP, Calibration
+from imolo_drivers.natnet.messages import AssetDefinition, AssetMarkerDefinition, ModelDefinitions
 
 runner = CliRunner()
 TURN = Rotation.from_euler("zyx", [130.0, 1.5, -2.0], degrees=True).as_matrix()
@@ -29,7 +31,7 @@ def config(folder: Path, backend: dict[str, object], **sections: object) -> str:
     return str(path)
 
 
-def hardware(running: RunningEmulator) -> dict[str, object]:
+def hardware(running: RunningEmulator) -> dict[str, Any]:
     return {"name": "hardware", "cameras": {"command_port": running.robot.motive.port}}
 
 
@@ -59,6 +61,23 @@ def test_calibration_is_printed_where_no_file_is_asked_for(tmp_path: Path) -> No
     printed = result.output.partition("\n\n")[2].partition("\n\n")[0]
     (tmp_path / "printed.yaml").write_text(printed, encoding="utf-8")
     np.testing.assert_allclose(Calibration.load(tmp_path / "printed.yaml").rotation, Z_UP, atol=0.002)
+
+
+def test_markers_that_motive_calls_otherwise_are_known_by_their_labels(tmp_path: Path) -> None:
+    """Motive says left where we say right, and the labels say so."""
+    ours = {marker.name: marker.marker_id for marker in BODY.markers}
+    other = {name: name.replace(*(("left", "right") if "left" in name else ("right", "left"))) for name in ours}
+    with emulator() as running:
+        renamed = (AssetMarkerDefinition(other[name], 1 + label, (0.0, 0.0, 0.0)) for name, label in ours.items())
+        running.robot.motive.definitions = ModelDefinitions((AssetDefinition(BODY.name, 0, 1, (), tuple(renamed)),))
+        backend = hardware(running)
+        labels = {"markers": {other[name]: label for name, label in ours.items()}}
+        path = config(tmp_path, {**backend, "cameras": {**backend["cameras"], "labels": labels}})
+        result = runner.invoke(app, ["calibrate", path, "--out", str(tmp_path / "found.yaml"), "--seconds", "0.5"])
+    assert result.exit_code == 0, result.output
+    found = Calibration.load(tmp_path / "found.yaml")
+    assert set(found.markers) == set(READY)
+    np.testing.assert_allclose(found.rotation, Z_UP, atol=0.002)
 
 
 def test_robot_in_another_pose_is_refused_and_a_marker_is_named(tmp_path: Path) -> None:

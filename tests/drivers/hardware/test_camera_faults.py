@@ -5,7 +5,9 @@ import dataclasses
 import logging
 import math
 import re
+import select
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from scripted_robot import (
     BODY,
     NAMES,
+    PATIENCE,
     backend,
     config,
     events,
@@ -45,8 +48,9 @@ def test_stalled_cameras_are_reported_and_void_the_trial(tmp_path: Path, caplog:
     with scripted_robot(stall) as robot, pytest.raises(TrialVoidError, match="no camera frame for 2"):
         play(config(robot), tmp_path / "log", player(), 1.0)
     assert "no camera frame for" in void(tmp_path / "log")
-    (report,) = (record for record in caplog.records if "no camera frame" in record.message)
-    silence = float(re.findall(r"for (\d+) ms", report.message)[0])
+    # On a busy machine the robot of this test may have stalled before; that each is told once is tested below.
+    reports = [record.message for record in caplog.records if "no camera frame" in record.message]
+    silence = float(re.findall(r"for (\d+) ms", reports[-1])[0])
     assert silence >= round(1e3 * NatNetConfig().silence_limit)
 
 
@@ -90,7 +94,7 @@ def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of
         virtual = VirtualTime()
         monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
         monkeypatch.setattr(hardware_backend, "select", virtual)
-        last = round(one._cameras.heard * 1e6)
+        last = round(one._exposures.heard * 1e6)
         with contextlib.closing(one), pytest.raises(TrialVoidError, match="no camera frame for 250 ms"):
             go_on()
         (report,) = caplog.messages
@@ -101,31 +105,60 @@ def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of
         assert 0 <= virtual.now - last - 250_000 <= 2
 
 
-def test_short_stall_is_reported_once_and_the_trial_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    def stall(elapsed: float, markers: Markers) -> Markers | None:
-        return markers if not 0.10 < elapsed < 0.22 else None
+def test_every_stall_is_reported_once_and_the_trial_goes_on(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    covered = threading.Event()
 
-    with scripted_robot(stall) as robot:
-        log = play(config(robot, camera_patience=5.0), tmp_path / "log", player(), START_MARGIN + 0.4)
-    assert caplog.text.count("no camera frame for") == 1
-    assert events(log)[-1] == EventName.END
+    def cover(_: float, markers: Markers) -> Markers | None:
+        return None if covered.is_set() else markers
+
+    with scripted_robot(cover) as robot:
+        one = backend(config(robot, board_silence=1e6, camera_patience=1e6, exposures={"oldest": 1e6}))
+        one.start(memory_bus(), Trial(TrialKind.THROW, 0, 1))
+        virtual = VirtualTime()
+        monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
+        monkeypatch.setattr(hardware_backend, "select", virtual)
+        with contextlib.closing(one):
+            for stalls in (1, 2):
+                covered.set()
+                for _ in range(50):
+                    one.advance(one.utime + 7_000)
+                assert [message.partition(" for ")[0] for message in caplog.messages] == ["no camera frame"] * stalls
+                covered.clear()
+                last = one._exposures.heard
+                while one._exposures.heard == last:  # what the robot sends takes time of its own
+                    select.select([one._cameras.fileno()], [], [], PATIENCE)
+                    virtual.now = max(virtual.now, monotonic_utime())
+                    one.advance(one.utime + 1_000)
 
 
-def swapped(elapsed: float, markers: Markers) -> Markers:
-    """Let the two hands bear each other's name from some time on."""
-    if not 0.15 < elapsed < 10.0:
-        return markers
-    other = {7: 8, 8: 7}
-    return [
-        dataclasses.replace(one, marker_id=other.get(one.marker_id, one.marker_id)) if one.model_id else one
-        for one in markers
-    ]
+class Swap:
+    """Lets the two hands bear each other's name once it is told to."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+
+    def __call__(self, _: float, markers: Markers) -> Markers:
+        if not self.begun.is_set():
+            return markers
+        other = {7: 8, 8: 7}
+        return [
+            dataclasses.replace(one, marker_id=other.get(one.marker_id, one.marker_id)) if one.model_id else one
+            for one in markers
+        ]
 
 
 def test_markers_that_swap_their_names_get_them_back(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert (NAMES[6], NAMES[7]) == ("right_hand", "left_hand")
-    with scripted_robot(swapped) as robot:
-        log = play(config(robot), tmp_path / "log", Bystander(), 0.5)
+    swap = Swap()
+
+    def begin(utime: int) -> None:
+        if utime > 150_000:  # some frames were seen; counted from the arming, however busy the machine is
+            swap.begun.set()
+
+    with scripted_robot(swap) as robot:
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.5, after_slice=begin)
     for frame in log.messages[channels.MOCAP]:
         seen = {m.marker_id: m.marker_position for m in frame.markers}
         assert np.allclose([seen[6], seen[7]], [BODY[6], BODY[7]], atol=1e-6)
@@ -145,6 +178,35 @@ def test_marker_that_jumps_alone_is_left_out(tmp_path: Path) -> None:
     hands = [m.marker_position for f in log.messages[channels.MOCAP] for m in f.markers if m.marker_id == 6]
     assert np.allclose(hands, BODY[6], atol=1e-6)
     assert len(hands) < len(log.messages[channels.MOCAP])
+
+
+def test_one_wild_exposure_costs_one_frame(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with scripted_robot() as robot:
+        wild = iter([60.0])
+
+        def leap(utime: int) -> None:
+            if utime > 150_000:
+                robot.exposed = lambda now: now + next(wild, 0.0)
+
+        log = play(config(robot), tmp_path / "log", Bystander(), 0.5, after_slice=leap)
+    exposed = [frame.utime for frame in log.messages[channels.MOCAP]]
+    assert exposed == sorted(exposed)
+    assert exposed[-1] > 250_000
+    assert re.search(r"a camera frame was exposed 60 s after it came, at \d+ us; it is left out", caplog.text)
+    assert re.search(r"\b1 exposures refused", caplog.text)
+
+
+def test_exposures_that_stand_still_void_the_trial(tmp_path: Path) -> None:
+    with scripted_robot() as robot:
+
+        def stand(utime: int) -> None:
+            if utime > 150_000 and robot.exposed is float:
+                still = time.monotonic()
+                robot.exposed = lambda now: still
+
+        with pytest.raises(TrialVoidError, match=r"no camera frame for 2\d\d ms; a camera frame was exposed"):
+            play(config(robot), tmp_path / "log", Bystander(), 2.0, after_slice=stand)
 
 
 def test_truncated_and_foreign_packets_are_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

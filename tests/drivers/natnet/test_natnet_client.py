@@ -1,19 +1,21 @@
 """Client and server over UDP: handshake, frames, loss, clocks, restarts."""
 
+import select
 import socket
 import time
 
 import pytest
 from live.network import namespace
 from natnet_pair import DEADLINE, Pair, pair, run_until
+from pydantic import ValidationError
 
 from imolo.errors import NatNetError, NatNetVersionError
-from imolo_drivers.natnet.client import NatNetClient
+from imolo_drivers.natnet.client import LATE_FRAMES, LATE_IN_ORDER, NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig, NatNetServerConfig
 from imolo_drivers.natnet.encoder import encode
 from imolo_drivers.natnet.messages import Frame, LabelledMarker, ModelDefinitions, RigidBodyDefinition, ServerInfo
 from imolo_drivers.natnet.server import NatNetServer
-from imolo_drivers.natnet.wire import SUPPORTED, Version
+from imolo_drivers.natnet.wire import HEADER, SUPPORTED, MessageId, Version
 
 DEFINITIONS = ModelDefinitions((RigidBodyDefinition("liberobot", 3),))
 
@@ -48,6 +50,23 @@ def test_a_multicast_client_joins_the_group_that_the_server_names(version: Versi
         assert send_and_receive(link, 1, 2, 3) == [frame(1), frame(2), frame(3)]
 
 
+def test_two_clients_of_one_machine_share_a_group() -> None:
+    with namespace(), pair((4, 1), multicast_group="239.255.42.99", definitions=DEFINITIONS) as link:
+        link.connect()
+        with NatNetClient(NatNetConfig(command_port=link.server.port, retry_interval=0.05)) as other:
+            others: list[Frame] = []
+            run_until(link.server, other, others, lambda: other.definitions is not None)
+            assert send_and_receive(link, 1) == [frame(1)]
+            run_until(link.server, other, others, lambda: others == [frame(1)])
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_a_port_that_is_none_is_refused(port: int) -> None:
+    assert NatNetConfig(command_port=1).command_port == 1
+    with pytest.raises(ValidationError):
+        NatNetConfig(command_port=port)
+
+
 def test_missing_numbers_are_lost_frames_and_old_ones_are_left_out() -> None:
     with pair((4, 1)) as link:
         link.connect()
@@ -55,6 +74,39 @@ def test_missing_numbers_are_lost_frames_and_old_ones_are_left_out() -> None:
         assert [frame.number for frame in frames] == [10, 11, 14, 15]
         assert link.client.lost == 2
         assert link.client.late == 2
+
+
+@pytest.mark.parametrize("length", [3, 60, 100, 122])
+def test_a_take_in_a_loop_goes_on_in_every_round(length: int) -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        for played in (1, 2, 3):
+            for number in range(500, 500 + length):
+                link.server.send(frame(number))
+            link.run_until(lambda played=played: len(link.frames) + link.client.late == played * length)
+        numbers = [frame.number for frame in link.frames]
+        round_again = numbers[length:]
+        assert numbers[:length] == list(range(500, 500 + length))
+        # What is left out of a round is what tells that it is one.
+        late = 0 if length > LATE_FRAMES + 1 else LATE_IN_ORDER - 1
+        assert round_again == 2 * list(range(500 + late, 500 + length))
+        assert (link.client.late, link.client.lost) == (2 * late, 0)
+
+
+def test_late_frames_between_others_are_no_restart() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        frames = send_and_receive(link, 10, 20, 11, 12, 21, 13, 14, 22, 15, 15, 16, 16, 9, 23)
+        assert [frame.number for frame in frames] == [10, 20, 21, 22, 23]
+
+
+def test_a_number_that_stands_still_is_no_restart() -> None:
+    with pair((4, 1)) as link:
+        link.connect()
+        for _ in range(10):
+            link.server.send(frame(77))
+        link.run_until(lambda: link.client.late == 9)
+        assert [frame.number for frame in link.frames] == [77]
 
 
 def test_a_silent_stream_is_lost_after_the_limit_and_found_again_with_the_next_frame() -> None:
@@ -125,6 +177,15 @@ def test_changed_models_are_asked_for_again() -> None:
         link.run_until(lambda: link.client.definitions == ModelDefinitions())
 
 
+def test_models_that_are_said_to_change_in_every_frame_are_known_all_the_same() -> None:
+    with pair((4, 0), definitions=DEFINITIONS) as link:
+        link.connect()
+        for number in range(1, 20):
+            link.server.send(frame(number, flags=2))
+            link.run_until(lambda number=number: len(link.frames) == number)
+            assert link.client.definitions == DEFINITIONS
+
+
 def test_a_unicast_client_that_falls_silent_is_dropped_and_one_that_says_goodbye_at_once() -> None:
     with pair((4, 1)) as link:
         link.connect()
@@ -158,6 +219,48 @@ def test_packets_of_strangers_are_ignored() -> None:
             stranger.bind(("127.0.0.2", 0))
             stranger.sendto(encode(frame(99), (4, 1)), link.server.clients[0])
         assert send_and_receive(link, 1) == [frame(1)]
+
+
+def test_what_came_in_the_place_of_frames_is_told() -> None:
+    with pair((4, 1)) as link:
+        link.run_until(lambda: link.client.server is not None)
+        assert "imolo answers but sends no" in link.client.missing(5.0)
+        link.server.send_packet(b"\x07")
+        link.run_until(lambda: link.client.unreadable == 1)
+        assert "1 packets from there cannot be read, the last one: truncated packet" in link.client.missing(5.0)
+    with NatNetClient(NatNetConfig(command_port=free_port())) as client:
+        assert "within 5 s: nothing came; is it streaming" in client.missing(5.0)
+
+
+def test_a_server_that_tells_too_little_is_told_though_its_frames_come() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        with NatNetClient(NatNetConfig(command_port=server.getsockname()[1])) as client:
+            client.poll(0.0)
+            _, address = server.recvfrom(1000)
+            short = HEADER.pack(MessageId.SERVER_INFO, 264) + bytes(260) + bytes((3, 1, 0, 0))
+            for packet in (encode(frame(1), (3, 1)), short, encode(frame(2), (3, 1))):
+                server.sendto(packet, address)
+                select.select([client], [], [], DEADLINE)
+                client.poll(0.0)
+            assert "3 packets from there cannot be read, the last one: the answer of server ''" in client.missing(5.0)
+
+
+def test_an_answer_from_another_address_is_told() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as answering,
+    ):
+        asked.bind(("127.0.0.1", 0))
+        answering.bind(("127.0.0.2", 0))
+        with NatNetClient(NatNetConfig(command_port=asked.getsockname()[1])) as client:
+            client.poll(0.0)
+            _, address = asked.recvfrom(1000)
+            answering.sendto(encode(ServerInfo("Motive", (3, 1, 0, 0), (4, 1), 1000, 1511, None), (4, 1)), address)
+            select.select([client], [], [], DEADLINE)
+            client.poll(0.0)
+            assert client.server is None
+            assert "127.0.0.2 answers in its place; is that to be cameras.server_address?" in client.missing(5.0)
 
 
 def test_a_server_of_an_unknown_version_is_refused() -> None:

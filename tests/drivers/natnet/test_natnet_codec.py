@@ -1,5 +1,6 @@
 """Encoder and decoder against each other, against another decoder, and against damaged packets."""
 
+import dataclasses
 import resource
 import struct
 import tracemalloc
@@ -99,6 +100,19 @@ def test_another_decoder_reads_our_model_definitions(version: Version, data: st.
     ]
 
 
+def test_messages_have_the_numbers_of_the_vendor() -> None:
+    """NatNetTypes.h; what our two ends agree on alone would be no NatNet."""
+    vendor = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 12, 13, 14, 100)
+    assert tuple(MessageId) == vendor
+
+
+def test_messages_cannot_be_changed() -> None:
+    """Those who share one, as the emulator's clients do, rely on it."""
+    kinds = [kind for kind in vars(m).values() if dataclasses.is_dataclass(kind)]
+    assert len(kinds) > 20
+    assert all(kind.__dataclass_params__.frozen for kind in kinds)
+
+
 @versions
 def test_a_packet_cut_short_anywhere_is_named_so(version: Version) -> None:
     packet = encode(EXAMPLE, version)
@@ -153,13 +167,29 @@ def test_frames_before_the_handshake_are_refused() -> None:
         (HEADER.pack(MessageId.ECHO_RESPONSE, 3) + b"abc", "16 bytes expected"),
         (HEADER.pack(MessageId.MODEL_DEFINITIONS, 9) + struct.pack("<iib", 1, 9, 0), "unknown model definition 9"),
         (HEADER.pack(MessageId.MODEL_DEFINITIONS, 10) + struct.pack("<ii", 1, 0) + b"ab", "has no end"),
-        (HEADER.pack(MessageId.MODEL_DEFINITIONS, 10) + struct.pack("<ii", 1, 0) + b"\xff\0", "not UTF-8"),
+        (encode(m.ServerInfo("Motive", (3, 1, 0, 0), (4, 1), 1000, 1511, None), (4, 1))[:-15], "truncated packet"),
+        (HEADER.pack(MessageId.SERVER_INFO, 264) + bytes(260) + bytes((3, 1, 0, 0)), "is too short: it tells no clock"),
         (HEADER.pack(MessageId.MODEL_DEFINITIONS, 4) + struct.pack("<i", -1), "counts -1"),
     ],
 )
 def test_what_is_wrong_is_told(packet: bytes, reason: str) -> None:
     with pytest.raises(NatNetError, match=reason):
         decode(packet, (3, 0))
+
+
+@pytest.mark.parametrize(
+    ("encoded", "name"),
+    [
+        ("Schl\u00e4ger".encode(), "Schl\u00e4ger"),
+        ("Schl\u00e4ger".encode("cp1252"), "Schl\u00e4ger"),
+        ("\u6746".encode("gbk") + b"1", "\u00b8\u00cb1"),
+        (b"\xff\x81\x8d", "\u00ff\\x81\\x8d"),
+    ],
+)
+def test_a_name_in_any_alphabet_is_read(encoded: bytes, name: str) -> None:
+    packet = HEADER.pack(MessageId.MODEL_DEFINITIONS, 13 + len(encoded))
+    packet += struct.pack("<ii", 1, 0) + encoded + b"\0" + struct.pack("<i", 0)
+    assert decode(packet, (3, 0)) == m.ModelDefinitions((m.MarkerSetDefinition(name, ()),))
 
 
 @versions
