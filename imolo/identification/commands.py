@@ -28,8 +28,9 @@ def identify(
 
     from imolo.campaigns.results import ResultsFolder
     from imolo.config.experiment import ParallelConfig
-    from imolo.identification import report
-    from imolo.identification.study import identify as run
+    from imolo.identification import facts_report, report
+    from imolo.identification.facts_study import FactsStudy, fit_to_facts
+    from imolo.identification.study import identify as fit_to_recordings
     from imolo.identification.study_file import load_study
 
     chosen = load_study(study)
@@ -38,11 +39,19 @@ def identify(
     evaluations = out / "evaluations"
     if fresh:
         shutil.rmtree(evaluations, ignore_errors=True)
-    elif there := len(list(evaluations.glob("*.npz"))):
+    elif there := len(list(evaluations.glob("*.*"))):
         say(f"{there} evaluations are in {out} already and will not be done again")
     parallel = ParallelConfig() if scheduler is None else ParallelConfig(backend="dask", address=scheduler)
     with ProgressBars(lambda: f"the evaluations so far are kept in {out}") as bars:
-        result = run(chosen, study, folder, jobs, parallel, bars.show)
-    console.print(report.render(result))
-    folder.save_figure("identification.png", report.figure(result))
-    say(f"results are in {out}; patches/ENGINE.yaml holds what to put into a config")
+        if isinstance(chosen, FactsStudy):
+            facts = fit_to_facts(chosen, study, folder, jobs, parallel, bars.show)
+        else:
+            result = fit_to_recordings(chosen, study, folder, jobs, parallel, bars.show)
+    if isinstance(chosen, FactsStudy):
+        console.print(facts_report.render(facts))
+        folder.save_figure("facts.png", facts_report.figure(facts))
+        say(f"results are in {out}; best.yaml and ensemble.yaml hold what to put into a config")
+    else:
+        console.print(report.render(result))
+        folder.save_figure("identification.png", report.figure(result))
+        say(f"results are in {out}; patches/ENGINE.yaml holds what to put into a config")

@@ -13,6 +13,7 @@ from imolo.config.reading import check_model, read_yaml
 from imolo.contracts.registry import ready_simulations
 from imolo.errors import ConfigError, did_you_mean
 from imolo.identification.experiment import Experiment, Quantity
+from imolo.identification.facts_study import FactsStudy
 from imolo.identification.free_body import (
     BodyConfig,
     FreeBodyConfig,
@@ -139,10 +140,10 @@ class FreeBodyStudy(StudyConfig):
         return Experiment(tosses, quantities, findings, configs, "absolute", digest(tosses))
 
 
-KINDS: dict[str, type[StudyConfig]] = {"free_body": FreeBodyStudy}
+KINDS: dict[str, type[StudyConfig] | type[FactsStudy]] = {"free_body": FreeBodyStudy, "facts": FactsStudy}
 
 
-def load_study(path: Path) -> StudyConfig:
+def load_study(path: Path) -> StudyConfig | FactsStudy:
     """Read and check a study's file.
 
     Raises:
