@@ -56,6 +56,10 @@ class TableFileError(ImoloError):
     """A table file is damaged, foreign, of another version or for another robot."""
 
 
+class IdentificationError(ImoloError):
+    """Nothing can be fitted: the recordings, the parameters or the engine do not allow it."""
+
+
 class WorkerError(ImoloError):
     """The workers that run trials cannot be reached, are of another version, or died too often."""
 

@@ -27,6 +27,9 @@ app = typer.Typer()
 @app.command()
 def compare(
     configs: ConfigPaths = None,
+    ensemble: Annotated[
+        Path | None, typer.Option(help="Do it with every robot of this file; `imolo identify` writes one.")
+    ] = None,
     out: Out = Path("results/compare"),
     seed: Seed = None,
     balls: Balls = None,
@@ -41,6 +44,16 @@ def compare(
     from imolo.campaigns import comparison, figures, summary
 
     chosen = [override(config, seed=seed, balls=balls, scheduler=scheduler) for config in load_configs(configs)]
+    if ensemble is not None:
+        from imolo.campaigns.ensemble import compare_ensemble, read_ensemble, render_ensemble
+        from imolo.campaigns.results import ResultsFolder
+
+        members = read_ensemble(ensemble)
+        with ProgressBars(kept_in(out)) as bars:
+            over = compare_ensemble(chosen, members, ResultsFolder(out), jobs, bars.show, fresh)
+        console.print(render_ensemble(over))
+        say(f"ensemble.json and a folder for each of the {len(members)} members are in {out}")
+        return
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)

@@ -15,6 +15,7 @@ from imolo.campaigns import commands as campaign_commands
 from imolo.command_line.terminal import INTERRUPTED, complain, console
 from imolo.conformance import commands as conformance_commands
 from imolo.errors import ImoloError
+from imolo.identification import commands as identification_commands
 from imolo.inspect import commands as inspect_commands
 from imolo.live import commands as live_commands
 from imolo.report import commands as report_commands
@@ -38,6 +39,7 @@ for _commands in (
     conformance_commands,
     campaign_commands,
     study_commands,
+    identification_commands,
     report_commands,
     live_commands,
     inspect_commands,

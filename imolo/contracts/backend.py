@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from imolo.config.model import Model
 from imolo.conformance import Check, Limitation
+from imolo.contracts.engine import Engine
 from imolo.contracts.trial import Trial
 from imolo.messaging.bus import Bus
 
@@ -47,6 +48,7 @@ class BackendPlugin:
         ingredients: What can be exchanged in it, for `imolo attribute`: by ingredient, the alternative settings, each
             a set of the backend's options.
         simulated: Whether it may be run unasked; a robot moves only for who names its backend.
+        engine: The physics engine in it, for scenes without a robot; None where there is none.
     """
 
     summary: str
@@ -56,3 +58,4 @@ class BackendPlugin:
     limitations: tuple[Limitation, ...] = ()
     ingredients: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     simulated: bool = True
+    engine: type[Engine] | None = None

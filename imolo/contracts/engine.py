@@ -52,6 +52,10 @@ class Ball:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+NO_BALL = Ball(0.02, 0.01, 1.6e-6, (0.0, 0.0, 1e3))
+"""The ball of a scene without one: out of reach, a kilometre above the floor."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """All an engine needs to know, the same for every engine.
@@ -63,7 +67,7 @@ class Scene:
         base_position: Origin of the base link [m], shape (3,).
         base_quaternion: Rotation of the base link, w, x, y, z.
         joint_angle: Joint angles at the start [rad or m].
-        ball: The ball.
+        ball: The ball; `NO_BALL` where there is none.
         boxes: Fixed boxes beside the floor.
         timestep: Length of one step [s].
         friction: Coulomb friction coefficient of every contact [-].

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
 
-from imolo.config.model import Positive
+from imolo.config.model import Positive, Searched
 from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions, Scene
 from imolo.contracts.urdf import RobotModel
@@ -45,8 +45,8 @@ class MujocoOptions(EngineOptions):
 
     integrator: Literal["euler", "implicitfast", "rk4"] = "euler"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    impratio: Positive = 10.0
-    solref: tuple[Positive, Positive] = (0.0005, 1.0)
+    impratio: Annotated[Positive, Searched(0.1, 1000.0)] = 10.0
+    solref: tuple[Annotated[Positive, Searched(0.0005, 0.05)], Annotated[Positive, Searched(0.1, 3.0)]] = (0.0005, 1.0)
     solref_limit: tuple[Positive, Positive] = (0.0005, 1.0)
     ball_frequency: Positive = 1000.0
 

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import PositiveInt, model_validator
 
-from imolo.config.model import Fraction, NonNegative
+from imolo.config.model import Fraction, NonNegative, Searched
 from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
@@ -47,9 +47,9 @@ class OdeOptions(EngineOptions):
 
     settings: Literal["accurate", "paper"] = "accurate"
     erp: Fraction = 0.8
-    cfm: NonNegative = 1e-11
+    cfm: Annotated[NonNegative, Searched(1e-12, 1e-2)] = 1e-11
     stop_erp: Fraction = 0.02
-    contact_erp: Fraction = 0.02
+    contact_erp: Annotated[Fraction, Searched(0.001, 0.9)] = 0.02
     max_contacts: PositiveInt = 4
     friction: Literal["sliding", "pyramid"] = "sliding"
     restitution_velocity: NonNegative = 0.05

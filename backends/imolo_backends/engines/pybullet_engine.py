@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
 from pydantic import PositiveInt
 
-from imolo.config.model import Fraction, NonNegative
+from imolo.config.model import Fraction, NonNegative, Searched
 from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
@@ -47,7 +47,7 @@ class PybulletOptions(EngineOptions):
 
     solver_iterations: PositiveInt = 50
     erp: Fraction = 0.2
-    contact_erp: Fraction = 0.005
+    contact_erp: Annotated[Fraction, Searched(0.001, 0.9)] = 0.005
     cone_friction: bool = True
     restitution_velocity: NonNegative = 0.05
 

@@ -266,7 +266,7 @@ def simulated_plugin(
 
         return engine_checks(engine, options.model_validate(chosen.model_dump()))
 
-    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {})
+    return BackendPlugin(summary, options, create, checks, tuple(limitations), ingredients or {}, engine=engine)
 
 
 def draw_joint_offset(body: Body, deviation: float, rng: np.random.Generator) -> Array:

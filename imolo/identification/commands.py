@@ -1,0 +1,57 @@
+"""`imolo identify`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from imolo.campaigns.command_options import Fresh, Out, Scheduler
+from imolo.command_line.options import CORES, Jobs
+from imolo.command_line.terminal import ProgressBars, console, say
+
+app = typer.Typer()
+
+
+@app.command()
+def identify(
+    study: Annotated[Path, typer.Argument(help="YAML of the study: recordings, parameters, engines.")],
+    out: Out = Path("results/identify"),
+    jobs: Jobs = CORES,
+    scheduler: Scheduler = None,
+    fresh: Fresh = False,
+) -> None:
+    """Fit settings of engines and robot to recordings, and judge the fits on recordings held out.
+
+    Writes identification.json, a figure, and a part of a config for each engine to the results folder.
+    """
+    import shutil
+
+    from imolo.campaigns.results import ResultsFolder
+    from imolo.config.experiment import ParallelConfig
+    from imolo.identification import facts_report, report
+    from imolo.identification.facts_study import FactsStudy, fit_to_facts
+    from imolo.identification.study import identify as fit_to_recordings
+    from imolo.identification.study_file import load_study
+
+    chosen = load_study(study)
+    folder = ResultsFolder(out)
+    folder.prepare()
+    evaluations = out / "evaluations"
+    if fresh:
+        shutil.rmtree(evaluations, ignore_errors=True)
+    elif there := len(list(evaluations.glob("*.*"))):
+        say(f"{there} evaluations are in {out} already and will not be done again")
+    parallel = ParallelConfig() if scheduler is None else ParallelConfig(backend="dask", address=scheduler)
+    with ProgressBars(lambda: f"the evaluations so far are kept in {out}") as bars:
+        if isinstance(chosen, FactsStudy):
+            facts = fit_to_facts(chosen, study, folder, jobs, parallel, bars.show)
+        else:
+            result = fit_to_recordings(chosen, study, folder, jobs, parallel, bars.show)
+    if isinstance(chosen, FactsStudy):
+        console.print(facts_report.render(facts))
+        folder.save_figure("facts.png", facts_report.figure(facts))
+        say(f"results are in {out}; best.yaml and ensemble.yaml hold what to put into a config")
+    else:
+        console.print(report.render(result))
+        folder.save_figure("identification.png", report.figure(result))
+        say(f"results are in {out}; patches/ENGINE.yaml holds what to put into a config")
