@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError
 
 from imolo.ball.aerodynamic_kernel import LONGEST_STEP, fly, normal_equations, position_covariances, transition
 from imolo.ball.flight import GRAVITY
-from imolo.ball.model import DAMAGED, BallFilter, PredictionError, chi_square_quantile
+from imolo.ball.model import DAMAGED, ON, BallFilter, PredictionError, chi_square_quantile, kalman_filter
 from imolo.config.model import Model, NonNegative, Positive, Vector
 from imolo.config.reading import explain
 from imolo.errors import TableFileError
@@ -110,12 +110,12 @@ class AerodynamicBallModel:
 
         Positions are measured linearly, so that an extended filter differs from it in `advance` alone.
         """
-        return BallFilter(state, covariance, self.measurement_covariance(state[:3]))
+        return kalman_filter(state, covariance, self.measurement_covariance(state[:3]))
 
     def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
         state, F, Q = self._transition(kalman.x, duration)
-        kalman.predict(F, state - F @ kalman.x, Q)
+        kalman.predict(u=ON, B=(state - F @ kalman.x)[:, None], F=F, Q=Q)
         kalman.R = self.measurement_covariance(state[:3])
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from imolo.ball.model import DAMAGED, BallFilter, Kind, PredictionError, white_acceleration
+from imolo.ball.model import DAMAGED, ON, BallFilter, Kind, PredictionError, kalman_filter, white_acceleration
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.reading import explain
 from imolo.errors import TableFileError, TrainingDataError
@@ -173,11 +173,12 @@ class LinearBallModel:
 
     def make_filter(self, state: Array, covariance: Array) -> BallFilter:
         """Return a Kalman filter of the ball (Sec. V-C) that starts from a state, shape (6,), and its covariance."""
-        return BallFilter(state, covariance, self.measurement_covariance(state[:3]))
+        return kalman_filter(state, covariance, self.measurement_covariance(state[:3]))
 
     def advance(self, kalman: BallFilter, duration: float) -> None:
-        """Let a filter predict `duration` [s] ahead (Sec. V-C)."""
-        kalman.predict(*self.transition(duration))
+        """Let a filter predict `duration` [s] ahead; B enters as its control input (Sec. V-C)."""
+        A, B, Q = self.transition(duration)
+        kalman.predict(u=ON, B=B[:, None], F=A, Q=Q)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers and lists, fit for JSON; `from_dict` restores it bit by bit."""

@@ -54,8 +54,8 @@ class PredictionError(Model):
     count: int = Field(description="number of predictions")
 
 
-class BallFilter:
-    """A running Kalman filter of measured positions.
+class BallFilter(Protocol):
+    """A running Kalman filter of measured positions: filterpy's.
 
     Attributes:
         x: State, shape (n,): position [m], velocity [m/s], then what the model adds.
@@ -63,22 +63,25 @@ class BallFilter:
         R: Covariance of a measured position [m²], shape (3, 3).
     """
 
-    def __init__(self, x: Array, P: Array, R: Array) -> None:
-        """Start from a state."""
-        self.x, self.P, self.R = x, P, R
-
-    def predict(self, F: Array, B: Array, Q: Array) -> None:
-        """Carry on by x ← F x + B with the covariance Q of what is added, shapes (n, n), (n,) and (n, n)."""
-        self.x = F @ self.x + B
-        self.P = F @ self.P @ F.T + Q
+    x: Array
+    P: Array
+    R: Array
 
     def update(self, z: Array) -> None:
-        """Correct the state by a measured position [m], shape (3,), the covariance in Joseph's form."""
-        gain = self.P[:, :3] @ np.linalg.inv(self.P[:3, :3] + self.R)
-        self.x = self.x + gain @ (z - self.x[:3])
-        kept = np.eye(len(self.x))
-        kept[:, :3] -= gain
-        self.P = kept @ self.P @ kept.T + gain @ self.R @ gain.T
+        """Correct the state by a measured position [m], shape (3,)."""
+
+    def predict(self, u: Array, B: Array, F: Array, Q: Array) -> None:
+        """Carry on by x ← F x + B u with the covariance Q of what is added."""
+
+
+def kalman_filter(state: Array, covariance: Array, measurement_covariance: Array) -> BallFilter:
+    """Return a filter of measured positions that starts from a state, shape (n,), and its covariance, shape (n, n)."""
+    from filterpy.kalman import KalmanFilter  # which imports scipy.stats for a second
+
+    kalman = KalmanFilter(dim_x=len(state), dim_z=3, dim_u=1)
+    kalman.x, kalman.P, kalman.R = state.copy(), covariance.copy(), measurement_covariance
+    kalman.H = np.eye(3, len(state))
+    return kalman  # type: ignore[no-any-return]
 
 
 class BallModel(Protocol):
@@ -150,6 +153,10 @@ def chi_square_quantile(probability: float, freedom: int) -> float:
     from scipy.special import gammaincinv
 
     return float(2.0 * gammaincinv(0.5 * freedom, probability))
+
+
+ON = np.ones(1)
+"""The control input of a filter that switches its offset B on."""
 
 
 def white_acceleration(density: float, duration: float) -> Array:

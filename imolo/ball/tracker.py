@@ -143,6 +143,8 @@ class BallTracker:
     def __init__(self, model: BallModel, config: BallTrackerConfig | None = None) -> None:
         self.model = model
         self.config = config = config or BallTrackerConfig()
+        import filterpy.kalman  # noqa: F401 - now, not in the middle of a throw
+
         self._gate = chi_square_quantile(config.gate_probability, 3)
         self._restart_gate = chi_square_quantile(config.gate_probability, 6)
         self._launch_gate = chi_square_quantile(config.gate_probability, 3 * config.launch_frames - 6)

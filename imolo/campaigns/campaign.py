@@ -207,7 +207,8 @@ def _check_arrival(task: TrialTask) -> None:
 
 def leave_interrupts_to_the_parent() -> None:
     """Let Ctrl-C end the process that was started, which then ends its workers, without a word from these."""
-    if multiprocessing.parent_process() is not None:
+    # A worker of a cluster works in a thread of its own, which may not ask for signals.
+    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -29,6 +29,7 @@ PACKAGES = (
     "numpy",
     "scipy",
     "scikit-learn",
+    "filterpy",
     "numba",
     "mujoco-core",
     "pybullet",

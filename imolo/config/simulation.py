@@ -17,6 +17,7 @@ class ContactConfig(Model):
 
     friction: NonNegative = Field(0.8, description="Coulomb coefficient [-], assumed: rubber sole on wood")
     restitution: Fraction = Field(0.3, description="of the ball [-], assumed: soft polyurethane foam")
+    robot_restitution: Fraction = Field(0.0, description="of the robot on floor and boxes [-], assumed: none")
 
 
 class BallConfig(Model):

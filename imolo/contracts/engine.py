@@ -71,11 +71,12 @@ class Scene:
         boxes: Fixed boxes beside the floor.
         timestep: Length of one step [s].
         friction: Coulomb friction coefficient of every contact [-].
-        restitution: Coefficient of restitution of the ball's contacts [-]; the robot's contacts do not bounce.
+        restitution: Coefficient of restitution of the ball's contacts [-].
         gravity: Acceleration of free fall [m/s²], shape (3,); tilted, it makes a ramp of the floor.
         fixed_base: Whether the base link is welded to the world.
         base_velocity: Velocity of the base link's origin at the start [m/s], shape (3,).
         base_angular_velocity: Angular velocity of the base link at the start, world axes [rad/s], shape (3,).
+        robot_restitution: Coefficient of restitution of the robot's contacts with floor and boxes [-].
     """
 
     urdf: Path
@@ -93,6 +94,7 @@ class Scene:
     fixed_base: bool = False
     base_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     base_angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    robot_restitution: float = 0.0
 
 
 @dataclass(frozen=True)

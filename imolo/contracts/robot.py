@@ -190,6 +190,7 @@ class Body:
         friction: float,
         restitution: float,
         joint_offset: Array | Sequence[float] | None = None,
+        robot_restitution: float = 0.0,
     ) -> Scene:
         """Return the scene of a trial: the robot in its ready pose, the ball, the boxes.
 
@@ -199,6 +200,7 @@ class Body:
             friction: Coulomb friction coefficient of every contact [-].
             restitution: Coefficient of restitution of the ball's contacts [-].
             joint_offset: Added to the ready joint angles [rad], shape (J,).
+            robot_restitution: Coefficient of restitution of the robot's own contacts [-].
 
         Raises:
             BackendError: An offset pushes a joint out of its range.
@@ -227,6 +229,7 @@ class Body:
             timestep=timestep,
             friction=friction,
             restitution=restitution,
+            robot_restitution=robot_restitution,
             fixed_base=self.fixed_base,
         )
 

@@ -4,14 +4,17 @@ import hashlib
 import json
 import logging
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from imolo.campaigns.campaign import leave_interrupts_to_the_parent
 from imolo.campaigns.kept_trials import environment, plugin_code
@@ -42,12 +45,14 @@ class Outcome:
         size: Mean size of the errors of each recording by quantity [SI], shape (R,); NaN where it could not be played.
         residual: Of each recording, for `loss: squared`; empty otherwise.
         problem: Why a recording could not be played; empty where all were.
+        seconds: Processor time it took [s].
     """
 
     loss: Array
     size: Mapping[str, Array]
     residual: Sequence[Array] = ()
     problem: str = ""
+    seconds: float = 0.0
 
     @property
     def mean(self) -> float:
@@ -78,6 +83,9 @@ class Bench:
         jobs: Number of processes, or -1 for one per core.
         parallel: Where they run.
         progress: Told what is done.
+        evaluations: How many sets of settings were played or read so far.
+        seconds: Processor time of these, whenever they were played [s].
+        problems: By engine, how many of its sets could not be played whole, and why the first one could not.
     """
 
     experiment: Experiment
@@ -85,6 +93,9 @@ class Bench:
     jobs: int
     parallel: ParallelConfig
     progress: Progress
+    evaluations: int = 0
+    seconds: float = 0.0
+    problems: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._done: dict[str, int] = {}
@@ -92,7 +103,6 @@ class Bench:
             engine: json.dumps({**environment(), **_code_of(config)}, sort_keys=True)
             for engine, config in self.experiment.configs.items()
         }
-        self._told: set[str] = set()
 
     def play(
         self,
@@ -128,7 +138,7 @@ class Bench:
             try:
                 config = apply(base, {**settings, **(changes or {})})
             except ConfigError as error:
-                failed[number] = self._refused(engine, str(error), len(indices))
+                failed[number] = self._refused(str(error), len(indices))
                 continue
             for start in range(0, len(indices), CHUNK):
                 part = [self.experiment.recordings[index] for index in indices[start : start + CHUNK]]
@@ -136,24 +146,29 @@ class Bench:
                 chunks.append(_Chunk(part, config, light, f"{engine}: {label}"))
                 places.append((number, start))
         parts: dict[int, dict[int, Outcome]] = {}
+        wanted = len(range(0, len(indices), CHUNK))
         shown = f"{engine}: {label}"
         before = self._done.get(shown, 0)
         total = max(expected, before + len(many))
         for count, (index, outcome) in enumerate(self._run(chunks), start=1):
             number, start = places[index]
-            parts.setdefault(number, {})[start] = outcome
+            there = parts.setdefault(number, {})
+            there[start] = outcome
+            if len(there) == wanted:  # at once, so that an interrupt loses no more than what is being played
+                found[number] = _joined([there[start] for start in sorted(there)])
+                self._write(files[number], found[number])
             self.progress(shown, before + len(many) * count // len(chunks), total)
         self._done[shown] = before + len(many)
         self.progress(shown, self._done[shown], total)
-        results = []
-        for number, outcome in enumerate(found):
-            if outcome is None:
-                outcome = failed.get(number) or _joined([parts[number][start] for start in sorted(parts[number])])
-                self._write(files[number], outcome)
-            if outcome.problem and outcome.problem not in self._told:
-                self._told.add(outcome.problem)
-                logger.warning("%s: %s; the search goes on without", engine, outcome.problem)
-            results.append(outcome)
+        results = [outcome or failed[number] for number, outcome in enumerate(found)]
+        for outcome in results:
+            self.evaluations += 1
+            self.seconds += outcome.seconds
+            if outcome.problem:
+                count, first = self.problems.get(engine, (0, outcome.problem))
+                if not count:
+                    logger.warning("%s: %s; the search goes on without", engine, first)
+                self.problems[engine] = count + 1, first
         return results
 
     def _run(self, chunks: Sequence[_Chunk]) -> Any:
@@ -165,7 +180,7 @@ class Bench:
             return enumerate(map(_play, chunks))
         return run_on_cores(_play, chunks, self.jobs, self.parallel.retries, lambda _: True)
 
-    def _refused(self, engine: str, problem: str, count: int) -> Outcome:
+    def _refused(self, problem: str, count: int) -> Outcome:
         nothing = np.full(count, np.nan)
         size = {one.name: nothing for one in self.experiment.quantities}
         return Outcome(np.full(count, FAILED), size, problem=problem)
@@ -175,24 +190,26 @@ class Bench:
             "origin": self._origin[engine],
             "config": self.experiment.configs[engine].model_dump_json(),
             "settings": dict(settings),
-            "recordings": [self.experiment.recordings[index].name for index in indices],
+            "recordings": list(indices),
             "data": self.experiment.digest,
+            "loss": [self.experiment.loss, *map(str, self.experiment.quantities)],
         }
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
         return self.folder / f"{engine}_{digest}.npz"
 
     def _read(self, file: Path) -> Outcome | None:
         try:
-            with np.load(file, allow_pickle=False) as stored:
+            with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
                 names = [one.name for one in self.experiment.quantities]
                 size = {name: stored[f"size {name}"] for name in names}
                 residual = [stored[f"residual {number}"] for number in range(int(stored["residuals"]))]
-                return Outcome(stored["loss"], size, residual, str(stored["problem"]))
-        except (OSError, ValueError, KeyError, EOFError):
+                return Outcome(stored["loss"], size, residual, str(stored["problem"]), float(stored["seconds"]))
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             return None
 
     def _write(self, file: Path, outcome: Outcome) -> None:
-        arrays: dict[str, Any] = {"loss": outcome.loss, "problem": outcome.problem, "residuals": len(outcome.residual)}
+        arrays: dict[str, Any] = {"loss": outcome.loss, "problem": outcome.problem, "seconds": outcome.seconds}
+        arrays["residuals"] = len(outcome.residual)
         arrays |= {f"size {name}": value for name, value in outcome.size.items()}
         arrays |= {f"residual {number}": vector for number, vector in enumerate(outcome.residual)}
         try:
@@ -215,7 +232,14 @@ def _joined(parts: Sequence[Outcome]) -> Outcome:
         {name: np.concatenate([part.size[name] for part in parts]) for name in parts[0].size},
         [vector for part in parts for vector in part.residual],
         next((part.problem for part in parts if part.problem), ""),
+        sum(part.seconds for part in parts),
     )
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    # To look for the libraries that have threads takes longer than to play a recording.
+    return ThreadpoolController()
 
 
 def _play(chunk: _Chunk) -> Outcome:
@@ -225,7 +249,8 @@ def _play(chunk: _Chunk) -> Outcome:
     size: dict[str, list[float]] = {one.name: [] for one in experiment.quantities}
     vectors: list[Array] = []
     problem = ""
-    with threadpool_limits(limits=1):
+    began = time.process_time()
+    with _threads().limit(limits=1):
         for recording in chunk.recordings:
             try:
                 errors = recording.play(chunk.config)
@@ -244,4 +269,5 @@ def _play(chunk: _Chunk) -> Outcome:
                 size[name].append(mean)
             if experiment.loss == "squared":
                 vectors.append(residuals(errors, experiment.quantities))
-    return Outcome(np.array(loss), {name: np.array(values) for name, values in size.items()}, vectors, problem)
+    sized = {name: np.array(values) for name, values in size.items()}
+    return Outcome(np.array(loss), sized, vectors, problem, time.process_time() - began)

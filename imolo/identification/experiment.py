@@ -77,7 +77,8 @@ class Experiment:
         findings: What the check of the data found.
         configs: Where the search starts, by engine.
         loss: Mean size of the errors, which outliers pull little, or mean square, for smooth motions.
-        digest: Hash of the recorded data.
+        digest: Hash of all that is played, beside the configs.
+        apart: Which recordings are only for judging, where the study says so.
     """
 
     recordings: Sequence[Recording]
@@ -86,6 +87,7 @@ class Experiment:
     configs: Mapping[str, Any]
     loss: Literal["absolute", "squared"] = "absolute"
     digest: str = ""
+    apart: Sequence[int] = ()
 
     def names(self, indices: Sequence[int]) -> list[str]:
         """Return the names of recordings."""

@@ -54,7 +54,8 @@ class BodyConfig(Model):
     @model_validator(mode="after")
     def _is_one_body(self) -> Self:
         box = self.sides is not None and self.mass is not None
-        if box == (self.urdf is not None):
+        said = (self.sides, self.mass, self.inertia)
+        if (not box and self.urdf is None) or (self.urdf is not None and any(one is not None for one in said)):
             raise ValueError("give sides and mass of a box, or the urdf of another body")
         return self
 
@@ -138,6 +139,7 @@ def simulate(config: FreeBodyConfig, toss: Toss) -> tuple[Array, Rotation]:
         timestep=simulation.timestep,
         friction=simulation.contact.friction,
         restitution=simulation.contact.restitution,
+        robot_restitution=simulation.contact.robot_restitution,
         gravity=(0.0, 0.0, -simulation.gravity),
         base_velocity=_vector(toss.velocity),
         base_angular_velocity=_vector(toss.angular_velocity),
@@ -207,9 +209,9 @@ def read_tosses(path: Path, names: Sequence[str] = ()) -> list[Toss]:
     return tosses
 
 
-def digest(tosses: Sequence[Toss]) -> str:
-    """Return a hash of all that was recorded."""
-    total = hashlib.sha256()
+def digest(tosses: Sequence[Toss], urdf: Path | None = None) -> str:
+    """Return a hash of all that was recorded, and of the body's file."""
+    total = hashlib.sha256(urdf.read_bytes() if urdf else b"")
     for toss in tosses:
         for array in (toss.time, toss.position, toss.rotation, toss.velocity, toss.angular_velocity):
             total.update(np.ascontiguousarray(array).tobytes())
@@ -222,11 +224,11 @@ def _read_rows(path: Path) -> dict[str, list[list[float]]]:
         with open_bounded(path, MOST_BYTES) as binary, io.TextIOWrapper(binary, "utf-8-sig", newline="") as file:
             reader = csv.reader(file, strict=True)
             header = [name.strip() for name in next(reader, [])]
-            for wanted in ("toss", "time_s", *POSE):
+            with_twist = any(name in header for name in TWIST)
+            for wanted in ("toss", "time_s", *POSE, *(TWIST if with_twist else ())):
                 if header.count(wanted) != 1:
                     hint = did_you_mean(wanted, header)
                     raise TrainingDataError(f"{path}: the column {wanted!r} is not there once{hint}; name it so, in SI")
-            with_twist = all(header.count(name) == 1 for name in TWIST)
             numbers = [header.index(name) for name in ("time_s", *POSE, *(TWIST if with_twist else ()))]
             key = header.index("toss")
             for row in reader:
@@ -267,7 +269,7 @@ def _toss(path: Path, name: str, table: Array) -> Toss:
     length = np.linalg.norm(quaternion, axis=1, keepdims=True)
     if np.abs(length - 1.0).max() > 1e-3:
         raise TrainingDataError(
-            f"{path}: a quaternion of toss {name!r} has the length {float(length[np.abs(length - 1).argmax()]):.4g}; "
+            f"{path}: a quaternion of toss {name!r} has the length {length.flat[np.abs(length - 1.0).argmax()]:.4g}; "
             "qw qx qy qz must have the length 1"
         )
     quaternion = quaternion / length

@@ -11,16 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imolo.contracts.urdf import read_urdf
+from imolo.errors import TrainingDataError
 from imolo.identification.experiment import Finding
 from imolo.identification.free_body import BodyConfig, Toss, rotations
 
 Array = NDArray[np.float64]
 
-STANDARD_GRAVITY = 9.81  # [m/s²]
 CLEARANCE = 0.03  # of the longest side: lower than this above the floor, contact may have begun
 FEWEST_IN_AIR = 5
+FIRST = 8  # frames that show whether units and axes can be right
+SHORTEST_FRAME, LONGEST_FRAME = 1e-5, 0.5  # [s]
 LONGEST_GAP = 1.5  # frame intervals
+BEGINNING = 3  # frames in which a recording may begin wrongly
 SPURIOUS = 8.0  # standard deviations of a start beside its own flight
+HARMFUL = 0.01  # of the size of the body: less beside its flight is a matter of noise
 AT_REST = 0.003  # [m] over the last frames
 REST_FRAMES = 5
 RESAMPLES = 400
@@ -33,10 +37,12 @@ class InAir:
     Attributes:
         toss: The toss.
         frames: How many of them.
+        size: Of the body [m].
     """
 
     toss: Toss
     frames: int
+    size: float
 
     @property
     def time(self) -> Array:
@@ -44,22 +50,29 @@ class InAir:
         return self.toss.time[: self.frames]
 
 
-def check_tosses(tosses: Sequence[Toss], body: BodyConfig, resting: float | None) -> list[Finding]:
+def check_tosses(
+    tosses: Sequence[Toss], body: BodyConfig, resting: float | None, gravity: float = 9.81
+) -> list[Finding]:
     """Look at recordings of a free body.
 
     Args:
         tosses: The recordings.
         body: Whose clearance above the floor tells when a contact begins.
         resting: Height of the body's frame when it lies still [m]; None where that is not one number.
+        gravity: Free fall where they were made [m/s²].
 
     Returns:
         What was found; those of `length scale` have a value.
+
+    Raises:
+        TrainingDataError: Units or axes cannot be right.
     """
+    _check_units(tosses, gravity)
     flights = [in_air(toss, body) for toss in tosses]
     return [
         *_time_base(tosses),
         *_starts_in_contact(flights),
-        *_fall(flights),
+        *_fall(flights, gravity),
         *_rest(tosses, resting),
         *_noise_and_starts(flights),
     ]
@@ -83,7 +96,7 @@ def in_air(toss: Toss, body: BodyConfig) -> InAir:
         )
         reach = float(toss.position[0, 2] - lowest[0])
     near = lowest < CLEARANCE * reach
-    return InAir(toss, int(near.argmax()) if near.any() else len(near))
+    return InAir(toss, int(near.argmax()) if near.any() else len(near), reach)
 
 
 def start_from_flight(toss: Toss, body: BodyConfig) -> Toss:
@@ -103,6 +116,31 @@ def start_from_flight(toss: Toss, body: BodyConfig) -> Toss:
     position = toss.position.copy()
     position[0] = start[0]
     return replace(toss, position=position, velocity=start[1], angular_velocity=spin)
+
+
+def _check_units(tosses: Sequence[Toss], gravity: float) -> None:
+    """Refuse recordings whose first frames, mostly in the air, accelerate as nothing does that is in SI with z up."""
+    interval = float(np.median(np.concatenate([np.diff(toss.time) for toss in tosses])))
+    if not SHORTEST_FRAME < interval < LONGEST_FRAME:
+        raise TrainingDataError(f"a frame lasts {interval:g} s; are the times in ms? time_s is in seconds")
+    starts = [
+        np.polynomial.Polynomial.fit(toss.time[:FIRST], toss.position[:FIRST, axis], 2).convert().coef[2]
+        for toss in tosses
+        for axis in range(3)
+    ]
+    fall = 2.0 * np.median(np.reshape(starts, (-1, 3)), axis=0)
+    size = float(np.linalg.norm(fall))
+    if size > 2.0 * gravity:
+        raise TrainingDataError(
+            f"bodies fall at {size:.4g} m/s², not at {gravity:g}; are lengths in mm or cm? x_m y_m z_m are in metres"
+        )
+    axis = int(np.abs(fall).argmax())
+    if size > 0.5 * gravity and (axis != 2 or fall[2] > 0.0):
+        down, up = ("", "-") if fall[axis] > 0.0 else ("-", "")
+        name = "xyz"[axis]
+        raise TrainingDataError(
+            f"bodies fall along {down}{name}, not along -z; turn the recordings so that {up}{name} becomes z"
+        )
 
 
 def _time_base(tosses: Sequence[Toss]) -> list[Finding]:
@@ -139,7 +177,7 @@ def _gravity(flights: Sequence[InAir]) -> Array:
     return np.asarray(right / normal)
 
 
-def _fall(flights: Sequence[InAir]) -> list[Finding]:
+def _fall(flights: Sequence[InAir], gravity: float) -> list[Finding]:
     flying = _long_enough(flights)
     if len(flying) < 3:
         return [Finding("free fall", "too few recordings fly long enough to see gravity", warning=True)]
@@ -150,26 +188,15 @@ def _fall(flights: Sequence[InAir]) -> list[Finding]:
     ]
     deviation = np.std(drawn, axis=0)
     fall = -float(found[2])
-    axis = int(np.abs(found).argmax())
-    findings = [
-        Finding(
-            "free fall", f"{fall:.3f} ± {deviation[2]:.3f} m/s² downwards", value=fall, deviation=float(deviation[2])
-        )
-    ]
-    if axis != 2 or fall < 0:
-        down, up = ("", "-") if found[axis] > 0 else ("-", "")
-        name = "xyz"[axis]
-        text = f"bodies fall along {down}{name}, not along -z; turn the recording so that {up}{name} becomes z"
-        return [*findings, Finding("axes", text, warning=True)]
+    text = f"{fall:.3f} ± {deviation[2]:.3f} m/s² downwards"
+    findings = [Finding("free fall", text, value=fall, deviation=float(deviation[2]))]
     tilt = np.degrees(np.hypot(*found[:2]) / fall)
     if tilt > max(1.0, 3.0 * np.degrees(np.hypot(*deviation[:2]) / fall)):
         findings.append(Finding("axes", f"free fall is {tilt:.1f}° off the z axis; is the frame level?", warning=True))
-    scale = STANDARD_GRAVITY / fall
+    scale = gravity / fall
     spread = float(scale * deviation[2] / fall)
     off = abs(scale - 1.0) > 3.0 * spread and abs(scale - 1.0) > 0.005
-    text = f"lengths times {scale:.4f} ± {spread:.4f} would fall at {STANDARD_GRAVITY} m/s²"
-    if (0.02 < scale < 50.0 and not 0.5 < scale < 2.0) or not 0.02 < scale < 50.0:
-        text += f"; are they in {'mm' if scale < 1 else 'other units'}, or the times in other units?"
+    text = f"lengths times {scale:.4f} ± {spread:.4f} would fall at {gravity:g} m/s²"
     findings.append(Finding("length scale", text, warning=off, value=scale, deviation=spread))
     return findings
 
@@ -204,21 +231,28 @@ def _parabola(flight: InAir, gravity: Array) -> Array:
     return np.concatenate([start, fallen - basis @ start])
 
 
+def _jump(flight: InAir, gravity: Array) -> float:
+    """Return how far the first frames lie beside the parabola of the others [m]."""
+    fallen = flight.toss.position[: flight.frames] - 0.5 * gravity * flight.time[:, None] ** 2
+    basis = np.stack([np.ones(flight.frames), flight.time], axis=1)
+    others = np.linalg.lstsq(basis[BEGINNING:], fallen[BEGINNING:], rcond=None)[0]
+    return float(np.abs(fallen[:BEGINNING] - basis[:BEGINNING] @ others).max())
+
+
 def _noise_and_starts(flights: Sequence[InAir]) -> list[Finding]:
     flying = _long_enough(flights)
     if len(flying) < 3:
         return []
     gravity = _gravity(flying)
     off = [_parabola(flight, gravity)[2:] for flight in flying]
-    worst = np.array([np.abs(residual).max() for residual in off])
     noise = float(np.median([np.sqrt(np.mean(residual**2)) for residual in off]))
     found = [Finding("noise", f"{1e3 * noise:.2f} mm rms beside free flight", value=noise)]
     speeds = np.array([np.linalg.norm(_parabola(flight, gravity)[1] - flight.toss.velocity) for flight in flying])
     usual = float(np.median(speeds))
     wrong = tuple(
         flight.toss.name
-        for flight, most, speed in zip(flying, worst, speeds, strict=True)
-        if most > SPURIOUS * noise or speed > SPURIOUS * max(usual, 1e-3)
+        for flight, speed in zip(flying, speeds, strict=True)
+        if _jump(flight, gravity) > max(SPURIOUS * noise, HARMFUL * flight.size) or speed > SPURIOUS * max(usual, 1e-3)
     )
     if wrong:
         text = f"{len(wrong)} recordings do not begin as they fly on: position or velocity jumps"

@@ -1,6 +1,6 @@
 """Judge fits on recordings that they have not seen, and engines against each other on the same ones."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,12 @@ def paired(first: Array, second: Array) -> Spread | None:
 
 
 def split(
-    count: int, training: int, held_out: int | None, seed: int, left_out: Sequence[int]
+    count: int,
+    training: int,
+    held_out: int | None,
+    seed: int,
+    left_out: Collection[int],
+    apart: Collection[int] = (),
 ) -> tuple[list[int], list[int]]:
     """Return which recordings a fit sees and which it is judged on, drawn once by the seed.
 
@@ -81,7 +86,9 @@ def split(
         held_out: How many it is judged on; all others if not given.
         seed: Of the draw.
         left_out: Recordings that are not used.
+        apart: Recordings that fits are judged on, and no others; drawn from what a fit does not see if empty.
     """
-    order = [int(index) for index in np.random.default_rng(seed).permutation(count) if int(index) not in set(left_out)]
-    rest = order[training:]
-    return sorted(order[:training]), sorted(rest if held_out is None else rest[:held_out])
+    order = [index for index in np.random.default_rng(seed).permutation(count).tolist() if index not in left_out]
+    seen = [index for index in order if index not in apart][:training]
+    rest = [index for index in order if (index in apart if apart else index not in seen)]
+    return sorted(seen), sorted(rest if held_out is None else rest[:held_out])

@@ -12,6 +12,7 @@ from imolo.campaigns.summary import TABLE_STYLE
 from imolo.identification.judge import Spread
 from imolo.identification.study import Identification
 
+CHECK_TITLE = "What can be identified: effects where the search starts"
 FITS_TITLE = "Errors on recordings that no fit has seen"
 PARAMETERS_TITLE = "What was fitted, with 90 % intervals"
 PAIRS_TITLE = "Engines on the same recordings: second less first, 95 % interval of the mean"
@@ -19,7 +20,12 @@ FITS_NOTE = (
     "mean ± sd over the recordings, and the 95 % bootstrap interval of the mean; * is taken. A fit with more "
     "parameters is taken only if it surely wins on the recordings held out."
 )
+CHECK_NOTE = (
+    "effect: change of a recording's loss over 5 % of the range; most like: the other parameter whose effects are the "
+    "most alike, of which at ±1.00 only one can be told"
+)
 DATA_COLUMNS = ("data", "")
+CHECK_COLUMNS = ("engine", "setting", "start", "effect", "most like", "")
 PARAMETER_COLUMNS = ("engine", "fit", "setting", "value", "90 % interval", "searched", "")
 
 
@@ -29,7 +35,8 @@ def fit_columns(result: Identification) -> tuple[str, ...]:
         "engine",
         "fit",
         "parameters",
-        "tried",
+        "played",
+        "CPU s",
         "loss",
         *(f"{name} [{unit}]" for name, unit, _ in result.quantities),
     )
@@ -43,8 +50,25 @@ def fit_rows(result: Identification) -> list[list[str]]:
             star = " *" if one.name == found.taken else ""
             sizes = [_spread(one.sizes.get(name), factor) for name, _, factor in result.quantities]
             loss = "" if one.loss is None else f"{one.loss.mean:.3g}"
-            rows.append([engine, one.name + star, str(len(one.parameters)), str(one.evaluations), loss, *sizes])
+            cost = (str(one.evaluations), f"{one.seconds:.0f}")
+            rows.append([engine, one.name + star, str(len(one.parameters)), *cost, loss, *sizes])
     return rows
+
+
+def check_rows(result: Identification) -> list[list[str]]:
+    """Return a row for each parameter and what it does before the fit."""
+    return [
+        [
+            engine,
+            one.path,
+            f"{one.start:.4g}",
+            f"{100.0 * one.effect:.1f} %",
+            "" if one.like is None else f"{one.like} {one.likeness:+.2f}",
+            "" if one.fitted else "does nothing; left as it is",
+        ]
+        for engine, found in result.engines.items()
+        for one in found.checked
+    ]
 
 
 def parameter_rows(result: Identification) -> list[list[str]]:
@@ -105,14 +129,21 @@ def render(result: Identification) -> RenderableType:
     """Return everything as tables."""
     parts: list[RenderableType] = [
         _table(result.title, DATA_COLUMNS, data_rows(result)),
+        _table(CHECK_TITLE, CHECK_COLUMNS, check_rows(result)),
+        CHECK_NOTE,
         _table(PARAMETERS_TITLE, PARAMETER_COLUMNS, parameter_rows(result)),
         _table(FITS_TITLE, fit_columns(result), fit_rows(result)),
         FITS_NOTE,
     ]
     if result.differences:
         parts.append(_table(PAIRS_TITLE, pair_columns(result), pair_rows(result)))
-    parts += [f"{engine}: {problem}" for engine, found in result.engines.items() for problem in found.problems]
-    return Group(*parts)
+    return Group(*parts, *problems(result))
+
+
+def problems(result: Identification) -> list[str]:
+    """Return a line for each engine that could not play everything."""
+    some = {engine: found.problem for engine, found in result.engines.items() if found.problem}
+    return [f"{engine}: {problem}" for engine, problem in {**some, **result.failed}.items()]
 
 
 def figure(result: Identification) -> Figure:
@@ -144,7 +175,7 @@ def figure(result: Identification) -> Figure:
             axis.set_xlim(left=0.0)
         axes[0].set_yticks(range(len(result.engines)), list(result.engines))
         axes[0].invert_yaxis()
-        axes[-1].legend(title="fit; filled: taken", loc="best")
+        drawn.legend(*axes[-1].get_legend_handles_labels(), title="fit; filled: taken", loc="outside right upper")
     return drawn
 
 

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from imolo.errors import IdentificationError
 from imolo.identification.evaluation import FAILED, Bench, Outcome
+from imolo.identification.experiment import Quantity
 from imolo.identification.parameters import Parameter, Settings, from_units, to_units
 
 Array = NDArray[np.float64]
@@ -183,12 +184,15 @@ class Local:
     Attributes:
         gradient: Of each recording's loss by each parameter, shape (R, n), on the scale of the search.
         hessian: Of the mean loss, shape (n, n).
-        swing: Change of the mean loss from one probe to the other, relative to it, shape (n,).
+        swing: Mean change of the recordings' losses over a probe, relative to the mean loss, shape (n,).
+        likeness: How alike the effects of each pair of parameters are, over all recordings and quantities: cosine of
+            the angle between them, shape (n, n).
     """
 
     gradient: Array
     hessian: Array
     swing: Array
+    likeness: Array
 
 
 def explore(
@@ -199,6 +203,7 @@ def explore(
     indices: Sequence[int],
     label: str,
     changes: Settings | None = None,
+    pairs: bool = True,
 ) -> Local:
     """Take slopes and curvatures of the loss around some settings by finite differences.
 
@@ -210,17 +215,26 @@ def explore(
         indices: Which recordings.
         label: For the progress.
         changes: Settings on top, such as another time step.
+        pairs: Whether two parameters are varied at a time as well, for the curvature off the diagonal. Without, one
+            that lies at its bound stays there while others are varied, which it may switch off as soon as it moves.
     """
     n = len(parameters)
-    center = np.clip(to_units(parameters, settings), PROBE, 1.0 - PROBE)
+    exact = to_units(parameters, settings)
+    center = np.clip(exact, PROBE, 1.0 - PROBE)
     unit = np.eye(n) * PROBE
-    pairs = [(i, j) for i in range(n) for j in range(i)]
+    corners = [(i, j) for i in range(n) for j in range(i)] if pairs else []
     places = [center, *(center + unit[i] for i in range(n)), *(center - unit[i] for i in range(n))]
+    if not pairs:
+        around = np.where(np.eye(n) > 0.0, center, exact)
+        places = [exact, *(around + unit), *(around - unit)]
     squared = bench.experiment.loss == "squared"
     if not squared:
-        places += [center + unit[i] + unit[j] for i, j in pairs]
+        places += [center + unit[i] + unit[j] for i, j in corners]
     played = bench.play(label, engine, [from_units(parameters, place) for place in places], indices, changes)
     loss = np.array([outcome.loss for outcome in played])
+    loss = loss[:, (loss < FAILED).all(axis=0)]
+    if not loss.size:
+        raise IdentificationError(f"{engine} cannot play any recording under all settings tried by {label}")
     middle, up, down = loss[0], loss[1 : n + 1], loss[n + 1 : 2 * n + 1]
     hessian = np.zeros((n, n))
     if squared:
@@ -235,11 +249,12 @@ def explore(
     else:
         for i in range(n):
             hessian[i, i] = (up[i] + down[i] - 2.0 * middle).mean() / PROBE**2
-        for (i, j), corner in zip(pairs, loss[2 * n + 1 :], strict=True):
+        for (i, j), corner in zip(corners, loss[2 * n + 1 :], strict=True):
             hessian[i, j] = hessian[j, i] = (corner - up[i] - up[j] + middle).mean() / PROBE**2
     gradient = ((up - down) / (2.0 * PROBE)).T
     swing = np.maximum(np.abs(up - middle), np.abs(down - middle)).mean(axis=1) / max(float(middle.mean()), 1e-12)
-    return Local(gradient, hessian, swing)
+    likeness = _correlation(hessian) if squared else _likeness(played, bench.experiment.quantities, n)
+    return Local(gradient, hessian, swing, likeness)
 
 
 def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Local | None, recordings: int) -> Fit:
@@ -261,8 +276,7 @@ def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Loca
     units = to_units(parameters, fit.settings)
     moved = np.zeros(len(parameters))
     if halved is not None:
-        moved = inverse @ (halved.gradient - local.gradient).mean(axis=0)
-    correlation = _correlation(hessian)
+        moved = inverse @ (halved.gradient.mean(axis=0) - local.gradient.mean(axis=0))
     flags: dict[str, tuple[str, ...]] = {}
     for index, one in enumerate(parameters):
         said = []
@@ -271,7 +285,8 @@ def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Loca
         if local.swing[index] < FLAT or QUANTILE * deviation[index] > WIDE:
             said.append("not identified")
         for other in range(len(parameters)):
-            if other != index and abs(correlation[index, other]) > TIED:
+            alone = one.prior is None and parameters[other].prior is None
+            if other != index and alone and abs(local.likeness[index, other]) > TIED:
                 said.append(f"cannot be told from {parameters[other].path}")
         if halved is not None and abs(moved[index]) > max(QUANTILE * min(deviation[index], 1.0), FINE_ENOUGH):
             said.append("depends on the time step")
@@ -293,6 +308,14 @@ def _prior_curvature(parameter: Parameter, recordings: int) -> float:
     middle = parameter.to_unit(min(max(parameter.prior[0], parameter.low), parameter.high))
     middle = min(max(middle, PROBE), 1.0 - PROBE)
     return (step(middle + PROBE) + step(middle - PROBE) - 2.0 * step(middle)) / PROBE**2 / recordings
+
+
+def _likeness(played: Sequence[Outcome], quantities: Sequence[Quantity], n: int) -> Array:
+    effects = []
+    for high, low in zip(played[1 : n + 1], played[n + 1 : 2 * n + 1], strict=True):
+        changes = [(high.size[one.name] - low.size[one.name]) / one.scale for one in quantities]
+        effects.append(np.nan_to_num(np.concatenate(changes)))
+    return _correlation(np.array(effects) @ np.array(effects).T)
 
 
 def _correlation(hessian: Array) -> Array:

@@ -1,5 +1,6 @@
 """A study: from its file to fits of every engine, judged on what was held out."""
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,20 @@ from pydantic import BaseModel, ConfigDict
 
 from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ParallelConfig
+from imolo.config.loading import merged
 from imolo.config.yaml_file import dump_yaml
 from imolo.errors import IdentificationError
-from imolo.identification.evaluation import Bench, Outcome, Progress
+from imolo.identification.evaluation import FAILED, Bench, Outcome, Progress
 from imolo.identification.judge import Spread, choose, paired, split, spread
 from imolo.identification.parameters import Parameter, Settings, patch
-from imolo.identification.solve import Fit, explore, interval, judged, solve
+from imolo.identification.solve import FLAT, Fit, explore, interval, judged, solve
 from imolo.identification.study_file import StudyConfig
+
+logger = logging.getLogger(__name__)
 
 DEFAULT, SIMPLEST, FULL = "default", "simplest", "full"
 FEWEST = 5  # recordings on either side
+LOOKED_AT = 20  # recordings that show what can be identified
 TIMESTEP = "simulation.timestep"
 
 
@@ -44,6 +49,28 @@ class FoundParameter(BaseModel):
     flags: tuple[str, ...]
 
 
+class CheckedParameter(BaseModel):
+    """What a parameter does where the search starts.
+
+    Attributes:
+        path: Of the setting.
+        start: Its value there.
+        effect: Mean change of the recordings' losses over 5 % of its range, relative to the mean loss.
+        like: The parameter whose effect is most like its own; None where there is no other.
+        likeness: Cosine of the angle between their effects, -1 to 1; at ±1 only one of the two can be told.
+        fitted: Whether it does something, and is fitted.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    path: str
+    start: float
+    effect: float
+    like: str | None
+    likeness: float
+    fitted: bool
+
+
 class Candidate(BaseModel):
     """One fit of one engine, from the settings as they are to all parameters.
 
@@ -54,7 +81,9 @@ class Candidate(BaseModel):
         loss: On the recordings held out.
         sizes: Size of the errors there, by quantity [SI].
         gain: Loss less that of the candidate before it, on the same recordings.
-        evaluations: How many sets of settings were played.
+        evaluations: How many sets of settings were played for it on the training recordings, intervals and flags
+            included.
+        seconds: Processor time of these [s].
     """
 
     model_config = ConfigDict(frozen=True)
@@ -66,24 +95,27 @@ class Candidate(BaseModel):
     sizes: dict[str, Spread | None]
     gain: Spread | None
     evaluations: int
+    seconds: float
 
 
 class EngineResult(BaseModel):
     """What came out for one engine.
 
     Attributes:
+        checked: What can be identified, before anything was fitted.
         candidates: In the order of the number of their parameters.
         taken: Which of them; one with more parameters only if it surely wins on the recordings held out.
         patch: The part of a config that sets what was fitted.
-        problems: What could not be played, and why.
+        problem: Why some settings could not be played, and how many; empty where all were.
     """
 
     model_config = ConfigDict(frozen=True)
 
+    checked: tuple[CheckedParameter, ...]
     candidates: tuple[Candidate, ...]
     taken: str
     patch: dict[str, Any]
-    problems: tuple[str, ...]
+    problem: str
 
     @property
     def best(self) -> Candidate:
@@ -125,7 +157,8 @@ class Identification(BaseModel):
         quantities: Name, shown unit and factor to it from SI.
         training: Names of the recordings that were fitted.
         held_out: Names of those it was judged on.
-        engines: By name.
+        engines: By label.
+        failed: Engines that could not play the recordings at all, and why.
         differences: Each pair of engines, with the candidates that were taken.
     """
 
@@ -137,6 +170,7 @@ class Identification(BaseModel):
     training: tuple[str, ...]
     held_out: tuple[str, ...]
     engines: dict[str, EngineResult]
+    failed: dict[str, str]
     differences: tuple[Difference, ...]
 
 
@@ -161,14 +195,15 @@ def identify(
         progress: Told what is done.
 
     Raises:
-        ImoloError: The recordings or the parameters cannot be used.
+        ImoloError: The recordings or the parameters cannot be used, or no engine can play them.
     """
     folder.prepare()
     experiment = study.experiment(source.parent)
+    study.check_parameters(experiment.configs)
     spurious = {name for finding in experiment.findings if finding.unusable for name in finding.recordings}
     names = [recording.name for recording in experiment.recordings]
     left_out = [index for index, name in enumerate(names) if name in spurious]
-    training, held_out = split(len(names), study.training, study.held_out, study.seed, left_out)
+    training, held_out = split(len(names), study.training, study.held_out, study.seed, left_out, experiment.apart)
     if min(len(training), len(held_out)) < FEWEST:
         raise IdentificationError(
             f"{len(names)} recordings, {len(left_out)} of them left out, make {len(training)} to fit and "
@@ -177,10 +212,18 @@ def identify(
     bench = Bench(experiment, folder.path / "evaluations", jobs, parallel, progress)
     results: dict[str, EngineResult] = {}
     played: dict[str, Outcome] = {}
+    failed: dict[str, str] = {}
     for engine in experiment.configs:
-        results[engine], played[engine] = _fit_engine(study, bench, engine, training, held_out)
+        try:
+            results[engine], played[engine] = _fit_engine(study, bench, engine, training, held_out)
+        except IdentificationError as error:
+            failed[engine] = str(error)
+            logger.warning("%s", error)
+            continue
         with folder.file(f"patches/{engine}.yaml") as file:
             file.write(dump_yaml(results[engine].patch).encode())
+    if not results:
+        raise IdentificationError("; ".join(failed.values()))
     result = Identification(
         title=study.title or source.stem,
         findings=tuple(
@@ -191,6 +234,7 @@ def identify(
         training=tuple(experiment.names(training)),
         held_out=tuple(experiment.names(held_out)),
         engines=results,
+        failed=failed,
         differences=tuple(_differences(played)),
     )
     folder.save_json("identification.json", result)
@@ -203,16 +247,25 @@ def _fit_engine(
     config = bench.experiment.configs[engine]
     simplest, full = study.parameters_of(config)
     fits: dict[str, tuple[Fit, list[Parameter]]] = {}
+    costs: dict[str, tuple[int, float]] = {}
     start = bench.play("as it is", engine, [{}], training)[0]
-    fits[DEFAULT] = (Fit({}, start.mean, 1), [])
+    if start.mean >= FAILED:
+        raise IdentificationError(f"{engine} cannot play any recording as it is: {start.problem}")
+    fits[DEFAULT], costs[DEFAULT] = (Fit({}, start.mean, 1), []), (1, start.seconds)
+    checked = _check(bench, engine, full, training)
+    at_work = {one.path for one in checked if one.fitted}
+    simplest, full = ([one for one in some if one.path in at_work] for some in (simplest, full))
     for name, parameters in ((SIMPLEST, simplest), (FULL, full)):
         if parameters and (name == SIMPLEST or len(full) > len(simplest)):
+            before = bench.evaluations, bench.seconds
             fits[name] = (_fit(study, bench, engine, parameters, training, name), parameters)
+            costs[name] = bench.evaluations - before[0], bench.seconds - before[1]
     outcomes = {
         name: bench.play(f"judging {name}", engine, [fit.settings], held_out)[0] for name, (fit, _) in fits.items()
     }
     taken = choose(outcomes)
-    candidates, before = [], None
+    candidates: list[Candidate] = []
+    fewer: Outcome | None = None
     for name, (fit, parameters) in fits.items():
         outcome = outcomes[name]
         candidates.append(
@@ -222,15 +275,48 @@ def _fit_engine(
                 training_loss=fit.loss,
                 loss=spread(outcome.loss),
                 sizes={quantity: spread(values) for quantity, values in outcome.size.items()},
-                gain=None if before is None else paired(before.loss, outcome.loss),
-                evaluations=fit.evaluations,
+                gain=None if fewer is None else paired(fewer.loss, outcome.loss),
+                evaluations=costs[name][0],
+                seconds=costs[name][1],
             )
         )
-        before = outcome
-    settings = fits[taken][0].settings
-    problems = tuple(sorted({outcome.problem for outcome in outcomes.values() if outcome.problem}))
-    result = EngineResult(candidates=tuple(candidates), taken=taken, patch=patch(settings, config), problems=problems)
+        fewer = outcome
+    count, first = bench.problems.get(engine, (0, ""))
+    result = EngineResult(
+        checked=checked,
+        candidates=tuple(candidates),
+        taken=taken,
+        patch=merged({"backend": config.backend.model_dump()}, patch(fits[taken][0].settings, config)),
+        problem=f"{count} sets of settings could not be played whole; of the first one {first}" if count else "",
+    )
     return result, outcomes[taken]
+
+
+def _check(bench: Bench, engine: str, parameters: list[Parameter], training: list[int]) -> tuple[CheckedParameter, ...]:
+    """See on a few recordings what each parameter does where the search starts."""
+    start = {one.path: one.start for one in parameters}
+    some = training[:: max(1, len(training) // LOOKED_AT)]
+    local = explore(bench, engine, parameters, start, some, "what can be identified", pairs=False)
+    found = []
+    for index, one in enumerate(parameters):
+        others = np.abs(local.likeness[index])
+        others[index] = -1.0
+        other = int(others.argmax())
+        alone = len(parameters) == 1
+        fitted = bool(local.swing[index] >= FLAT)
+        if not fitted:
+            logger.warning("%s: %s does nothing where it starts and stays at %g", engine, one.path, one.start)
+        found.append(
+            CheckedParameter(
+                path=one.path,
+                start=one.start,
+                effect=local.swing[index],
+                like=None if alone else parameters[other].path,
+                likeness=0.0 if alone else local.likeness[index, other],
+                fitted=fitted,
+            )
+        )
+    return tuple(found)
 
 
 def _fit(

@@ -20,7 +20,9 @@ def check_numbers(text: str) -> None:
         if isinstance(value, float) and not math.isfinite(value):
             raise ValueError(f"{place} is {value}, no finite number")
         if isinstance(value, dict):
-            for key in {"mean", "sd", "count"} & value.keys() if {"mean", "sd"} <= value.keys() else ():
+            # What has an interval may be a difference.
+            sizes = {"sd", "count"} if "low" in value else {"mean", "sd", "count"}
+            for key in sizes & value.keys() if {"mean", "sd"} <= value.keys() else ():
                 if isinstance(value[key], int | float) and value[key] < 0:
                     raise ValueError(f"{place}.{key} is {value[key]}, less than nothing")
             if {"hits", "balls", "interval"} <= value.keys():

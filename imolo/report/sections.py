@@ -6,6 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
+from imolo.identification import report as identification_report
+from imolo.identification.report import (
+    CHECK_COLUMNS,
+    DATA_COLUMNS,
+    PARAMETER_COLUMNS,
+    check_rows,
+    data_rows,
+    fit_columns,
+    fit_rows,
+    pair_columns,
+    pair_rows,
+    parameter_rows,
+    problems,
+)
+from imolo.identification.study import Identification
 from imolo.report.folder import parse, read_text
 from imolo.studies import sample_efficiency_report as efficiency_report
 from imolo.studies import transfer_report
@@ -182,6 +197,20 @@ def _tenths(length: float | None) -> str:
     return "–" if length is None else f"{1e3 * length:.1f}"
 
 
+def identification_tables(path: Path) -> Context:
+    """Return what was found in the data, what was fitted, and how it does on recordings held out."""
+    result = parse(Identification, read_text(path), path)
+    grids = [
+        Grid(identification_report.FITS_TITLE, fit_columns(result), fit_rows(result)),
+        Grid(identification_report.PARAMETERS_TITLE, PARAMETER_COLUMNS, parameter_rows(result)),
+        Grid(identification_report.CHECK_TITLE, CHECK_COLUMNS, check_rows(result)),
+        Grid("The recordings", DATA_COLUMNS, data_rows(result)),
+    ]
+    if result.differences:
+        grids.insert(1, Grid(identification_report.PAIRS_TITLE, pair_columns(result), pair_rows(result)))
+    return {"note": " ".join([f"{result.title}.", identification_report.FITS_NOTE, *problems(result)]), "grids": grids}
+
+
 SECTIONS = (
     Section("ball.json", "Ball models", ball_tables, figures=("ball.png",)),
     Section("attribution.json", "Why the engines differ", attribution_tables, figures=("figures/waterfall.png",)),
@@ -192,5 +221,11 @@ SECTIONS = (
         figures=("figures/interpolation.png",),
     ),
     Section("transfer.json", "From one engine to another", transfer_tables, figures=("figures/transfer.png",)),
+    Section(
+        "identification.json",
+        "Fitted to recordings",
+        identification_tables,
+        figures=("figures/identification.png",),
+    ),
     Section("trials.json", "How many trials it takes", trials_tables, figures=("figures/trials.png",)),
 )

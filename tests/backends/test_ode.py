@@ -170,3 +170,35 @@ def test_a_range_of_a_whole_turn_is_refused(tmp_path: Path) -> None:
     path.write_text(standing_robot().urdf.read_text().replace('lower="0" upper="1.1"', 'lower="-4" upper="2.6"'))
     with pytest.raises(BackendError, match=r"ODE cannot limit right_hip to \(-4\.0, 2\.6.*a whole turn or more"):
         make(replace(standing_robot(), urdf=path))
+
+
+def test_an_impact_takes_no_more_along_the_floor_than_friction_times_what_it_gives_upwards() -> None:
+    # A tumbling box turns the slip of its contacts within an impact; across it friction has nothing to hold.
+    mu, worst = 0.2, 0.0
+    for seed in range(4):
+        chance = np.random.default_rng(seed)
+        turn = chance.normal(size=4)
+        scene = box_scene(
+            base_position=(0.0, 0.0, 0.2),
+            base_quaternion=tuple((turn / np.linalg.norm(turn)).tolist()),
+            base_velocity=(1.0, 0.5, -1.0),
+            base_angular_velocity=tuple(chance.uniform(-8.0, 8.0, 3).tolist()),
+            friction=mu,
+            timestep=1e-3,
+        )
+        engine = make(scene, sweeps=50)
+        places = []
+        for _ in range(150):
+            engine.step(np.zeros(0), np.zeros(3))
+            places.append(engine.read().link_position[0])
+        change = np.diff(places, n=2, axis=0) / 1e-3 + [0.0, 0.0, G * 1e-3]
+        hits = change[change[:, 2] > 0.05]
+        assert len(hits)
+        worst = max(worst, float((np.hypot(hits[:, 0], hits[:, 1]) / hits[:, 2]).max()))
+    # The sweeps leave a hundredth or so.
+    assert worst == pytest.approx(mu, rel=0.02)
+
+
+def test_sweeps_slide_as_far_as_the_exact_solver() -> None:
+    exact, swept = slide(30.0), slide(30.0, sweeps=50)
+    assert swept == pytest.approx(exact, rel=2e-3)

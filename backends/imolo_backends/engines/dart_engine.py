@@ -77,13 +77,14 @@ class DartEngine(EngineAdapter):
         self._ball, self._ball_body = _add_body(world, BALL, BALL, "Free", ball)
         inertia = scene.ball.inertia * np.eye(3)
         self._ball_body.setInertia(dartpy.dynamics.Inertia(scene.ball.mass, np.zeros(3), inertia))
-        # DART multiplies the restitutions of two bodies. The robot must bounce off the ball but not off the box, the
-        # ball off both: so the ball has 1, and what is fixed is there twice, once for the robot and once for the ball.
-        _set_contact(self._robot, scene.friction, scene.restitution)
-        _set_contact(self._ball, scene.friction, 1.0)
+        # DART multiplies the restitutions of two bodies, none of which may exceed 1. Robot and ball bounce off the box
+        # in their own ways: so what is fixed is there twice, once for the robot and once for the ball.
+        most = max(scene.restitution, scene.robot_restitution) or 1.0
+        _set_contact(self._robot, scene.friction, most)
+        _set_contact(self._ball, scene.friction, scene.restitution / most)
         links = self._robot.getBodyNodes()
-        self._add_fixed("robot", restitution=0.0, invisible_to=[self._ball_body])
-        self._add_fixed("ball", restitution=scene.restitution, invisible_to=links)
+        self._add_fixed("robot", restitution=scene.robot_restitution / most, invisible_to=[self._ball_body])
+        self._add_fixed("ball", restitution=most, invisible_to=links)
 
         self._dofs = [self._robot.getDof(name).getIndexInSkeleton() for name in scene.joint_names]
         self._joint_index: Any = joint_index(self._dofs)

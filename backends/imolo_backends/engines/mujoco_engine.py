@@ -40,7 +40,8 @@ class MujocoOptions(EngineOptions):
             timesteps. At its own .02 a ball at 10 m/s passes through the plate; at .002 the hand is 12 mm from where
             rigid contacts lead it.
         solref_limit: The same for joint limits. Softness here and in the contacts move the hand in opposite directions.
-        ball_frequency: Natural frequency of the ball's contacts [rad/s]; their damping follows from the restitution.
+        ball_frequency: Natural frequency of the ball's contacts, and of the robot's where it bounces, in place of
+            `solref` [rad/s]; their damping follows from the restitution.
     """
 
     integrator: Literal["euler", "implicitfast", "rk4"] = "euler"
@@ -161,8 +162,11 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
     spec.option.impratio = options.impratio
     for name in DISABLED:
         spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
+    solref = options.solref
+    if scene.robot_restitution > 0.0:
+        solref = _bouncing(options.ball_frequency, scene.robot_restitution, scene.timestep)
     for geom in spec.geoms:
-        _set_contact(geom, ROBOT_MASK, scene.friction, options.solref)
+        _set_contact(geom, ROBOT_MASK, scene.friction, solref)
     for joint in spec.joints:
         joint.solref_limit = options.solref_limit
     base = spec.body(scene.link_names[0])
@@ -175,20 +179,24 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
     kind = mujoco.mjtGeom.mjGEOM_BOX
     fixed += [world.add_geom(name=box.name, type=kind, pos=box.center, size=box.half_extents) for box in scene.boxes]
     for geom in fixed:
-        _set_contact(geom, FIXED_MASK, scene.friction, options.solref)
+        _set_contact(geom, FIXED_MASK, scene.friction, solref)
     ball = scene.ball
     # Left out, `ipos` would be a copy of `pos` (4.0.1), far from the ball.
     body = world.add_body(name=BALL, pos=ball.position, mass=ball.mass, inertia=[ball.inertia] * 3, ipos=[0.0] * 3)
     body.explicitinertial = True
     body.add_freejoint()
     geom = body.add_geom(name=BALL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(ball.radius, 0.0, 0.0))
-    # Ten steps per radian keep the explicit damper stable. Negative numbers are stiffness and damping per mass.
-    frequency = min(options.ball_frequency, 0.2 / scene.timestep)
-    damping = 2.0 * damping_ratio(scene.restitution) * frequency
-    _set_contact(geom, BALL_MASK, scene.friction, (-(frequency**2), -damping))
+    _set_contact(geom, BALL_MASK, scene.friction, _bouncing(options.ball_frequency, scene.restitution, scene.timestep))
     geom.priority = 1
     geom.solimp[:2] = 0.95
     return spec
+
+
+def _bouncing(frequency: float, restitution: float, timestep: float) -> tuple[float, float]:
+    """Return the `solref` of contacts of a natural frequency [rad/s] that bounce."""
+    # Ten steps per radian keep the explicit damper stable. Negative numbers are stiffness and damping per mass.
+    frequency = min(frequency, 0.2 / timestep)
+    return -(frequency**2), -2.0 * damping_ratio(restitution) * frequency
 
 
 def _set_contact(geom: Any, mask: tuple[int, int], friction: float, solref: tuple[float, float]) -> None:

@@ -1,11 +1,12 @@
 """ODE, the paper's engine, as an `Engine`."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from imolo.config.model import Fraction, NonNegative, Searched
 from imolo.conformance import Limitation
@@ -14,7 +15,7 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import check_value
-from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding_direction
+from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding
 from imolo_backends.simulation.simulated import simulated_plugin
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
@@ -41,7 +42,11 @@ class OdeOptions(EngineOptions):
             18 % of its speed.
         max_contacts: Largest number of contact points of two shapes; the deepest are kept.
         friction: ODE's friction is a pyramid: a box slides 29 % less far at 45° to its axes. `sliding` turns it at each
-            contact into the direction of sliding, where it is exact.
+            contact into the direction of sliding and lets it act there alone, where it is exact, unless the contact is
+            so slow that it may stick.
+        sweeps: 0 solves contacts and joints exactly, but limits friction by the normal forces that there would be
+            without friction. A number of sweeps (ODE's quick step) limits it by those that there are, as an impact
+            on an edge needs, but lets joints give.
         restitution_velocity: Slower impacts do not bounce [m/s].
     """
 
@@ -52,6 +57,7 @@ class OdeOptions(EngineOptions):
     contact_erp: Annotated[Fraction, Searched(0.001, 0.9)] = 0.02
     max_contacts: PositiveInt = 4
     friction: Literal["sliding", "pyramid"] = "sliding"
+    sweeps: Annotated[int, Field(ge=0)] = 0
     restitution_velocity: NonNegative = 0.05
 
     @model_validator(mode="before")
@@ -92,6 +98,9 @@ class OdeEngine(EngineAdapter):
             self._shapes[shape] = None, box.name
 
         self._fall = [g * scene.timestep for g in scene.gravity]
+        self._stopped = scene.friction * math.hypot(*self._fall)  # [m/s] in a step, by friction under the weight
+        self._step = world.quickStep if options.sweeps else world.step
+        world.setQuickStepNumIterations(options.sweeps)
         self._ball_touches: list[tuple[Any, str, Any, Any]] = []
         return self._loaded()
 
@@ -116,7 +125,7 @@ class OdeEngine(EngineAdapter):
         ode.collide2(self._robot_space, self._fixed_space, None, self._meet)
         ode.collide2(self._ball_shape, self._fixed_space, None, self._meet)
         ode.collide2(self._ball_shape, self._robot_space, None, self._meet)
-        self._world.step(self._scene.timestep)
+        self._step(self._scene.timestep)
         touched = bool(self._ball_touches)
         if touched:
             self._told = list(self._tell_touches())
@@ -141,15 +150,19 @@ class OdeEngine(EngineAdapter):
             contact.setMu(scene.friction)
             contact.setSoftERP(options.contact_erp)
             position, normal, _, _, _ = contact.getContactGeomParams()
-            if with_ball:
+            bounce = scene.restitution if with_ball else scene.robot_restitution
+            if with_ball or bounce > 0.0:
                 mode |= ode.ContactBounce
-                contact.setBounce(scene.restitution)
+                contact.setBounce(bounce)
                 contact.setBounceVel(options.restitution_velocity)
             if options.friction == "sliding":
-                direction = sliding_direction(first_body, second_body, position, normal, self._fall)
+                direction, speed = sliding(first_body, second_body, position, normal, self._fall)
                 if direction is not None:
                     mode |= ode.ContactFDir1
                     contact.setFDir1(direction)
+                    if speed > self._stopped:
+                        mode |= ode.ContactMu2
+                        contact.setMu2(0.0)
             contact.setMode(mode)
             joint = ode.ContactJoint(self._world, self._contact_joints, contact)
             joint.attach(first_body, second_body)

@@ -196,8 +196,10 @@ def make_body(world: Any, mass: float, inertia: Array) -> Any:
     return body
 
 
-def sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> Any:
-    """Return the unit vector along which one body slides on the other, either way round; None where nothing slides.
+def sliding(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> tuple[Any, float]:
+    """Return the unit vector along which one body slides on the other, either way round, and the speed [m/s].
+
+    The vector is None where nothing slides.
 
     Args:
         first: A body; one of the two may be None, which is fixed.
@@ -216,4 +218,4 @@ def sliding_direction(first: Any, second: Any, position: Any, normal: Any, fall:
     closing = x * nx + y * ny + z * nz
     x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
     speed = math.sqrt(x * x + y * y + z * z)
-    return (x / speed, y / speed, z / speed) if speed > SLIDING else None
+    return ((x / speed, y / speed, z / speed) if speed > SLIDING else None), speed

@@ -23,7 +23,7 @@ pybullet = import_quietly("pybullet")  # it prints its build time
 
 BASE, BALL = -1, "the ball"
 # [-] Bullet multiplies the restitutions of two bodies. With this on everything but the ball, and its inverse times the
-# wanted value on the ball, only the ball bounces.
+# wanted value on the ball, only the ball bounces; where the robot bounces as well, it is the root of its restitution.
 BODY_RESTITUTION = 1e-4
 # [rad/s, m/s] Bullet clamps every joint velocity at 100, the spin of a rolling ball among them.
 VELOCITY_LIMIT = 1e6
@@ -115,17 +115,21 @@ class PybulletEngine(EngineAdapter):
         scene, ball = self._scene, self._ball
         # Bullet multiplies the friction coefficients of two bodies, too.
         friction = float(np.sqrt(scene.friction))
+        bounce = max(BODY_RESTITUTION, float(np.sqrt(scene.robot_restitution)))
         for body, link in [*self._names, (ball, BASE)]:
             change = partial(pybullet.changeDynamics, body, link, **self._at)
-            restitution = scene.restitution / BODY_RESTITUTION if body == ball else BODY_RESTITUTION
+            restitution = scene.restitution / bounce if body == ball else bounce
             # Apart: PyBullet drops `lateralFriction` from a call that also sets damping or velocity limits.
             change(linearDamping=0.0, angularDamping=0.0, jointDamping=0.0)
             change(maxJointVelocity=VELOCITY_LIMIT)
             change(lateralFriction=friction, spinningFriction=0.0, rollingFriction=0.0, restitution=restitution)
         # Without `mass` Bullet would ignore the inertia.
         change(mass=scene.ball.mass, localInertiaDiagonal=[scene.ball.inertia] * 3)
-        # At small steps a ball would be stopped before it touches, and not bounce.
+        # At small steps a body would be stopped before it touches, and not bounce.
         change(contactProcessingThreshold=0.0)
+        if scene.robot_restitution > 0.0:
+            for link in self._link_index.values():
+                pybullet.changeDynamics(self._robot, link, contactProcessingThreshold=0.0, **self._at)
 
     def _set_start(self) -> None:
         scene, robot = self._scene, self._robot

@@ -82,7 +82,10 @@ class SimulatedBackend:
         check_start_up(self._engine_class, self._options, config.timestep, body)
         drawn = config.actuators.draw(config.disturbance, rng)
         offset = draw_joint_offset(body, config.disturbance.joint_angle, rng)
-        scene = body.scene(ball, config.timestep, config.contact.friction, config.contact.restitution, offset)
+        contact = config.contact
+        scene = body.scene(
+            ball, config.timestep, contact.friction, contact.restitution, offset, contact.robot_restitution
+        )
         self._engine = self._engine_class(scene, self._options)
         self._actuators = config.actuators.create(
             body.joint_limits, np.array(scene.joint_angle), config.timestep, drawn
