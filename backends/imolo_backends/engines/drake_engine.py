@@ -194,9 +194,10 @@ def _held(body: RigidBody) -> Body:
 
 LIMITATIONS = (
     Limitation(
-        "friction is bounded by the normal force of the step before, of which there is none when a contact begins",
+        "friction is bounded by the normal force of the step before, which what begins or hits lacks",
         {
             "friction_begins": ("steps of friction that the box loses", "steps of friction that the ball loses"),
+            "friction_of_impacts": ("friction beyond mu times the normal impulse",),
             "slide_to_roll": ("speed while the solid ball slides", "speed while the hollow ball slides"),
         },
     ),

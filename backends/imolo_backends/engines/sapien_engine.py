@@ -210,6 +210,10 @@ class SapienEngine(EngineAdapter):
 
 LIMITATIONS = (
     Limitation(
+        "friction is bounded along the slip before the step and across it, and an impact turns the slip: up to 1.41 mu",
+        {"friction_of_impacts": ("friction beyond mu times the normal impulse",)},
+    ),
+    Limitation(
         "in single precision friction turns what slides by 3e-7 rad in each step",
         {"slide_0": ("turn, at most",), "slide_30": ("turn, at most",)},
     ),
