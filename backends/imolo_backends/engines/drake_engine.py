@@ -20,7 +20,7 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
 from imolo_backends.engines.adapter import Body, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.drake_shapes import DrakeShapes
-from imolo_backends.engines.engine_checks import base_rotation, joint_index
+from imolo_backends.engines.engine_checks import base_rotation, joint_index, unexplained_change
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
@@ -108,7 +108,7 @@ class DrakeEngine(EngineAdapter):
         self._port = plant.get_applied_generalized_force_input_port().FixValue(context, self._force)
         self._contact_results = plant.get_contact_results_output_port()
         self._state = self._root.get_discrete_state_vector().CopyToVector()
-        self._fall, self._gain = np.array(scene.gravity) * scene.timestep, scene.timestep / ball.mass
+        self._fall, self._gain = [g * scene.timestep for g in scene.gravity], scene.timestep / ball.mass
         self._touched = False
         return self._loaded(robot, joints)
 
@@ -122,9 +122,8 @@ class DrakeEngine(EngineAdapter):
         self._port.GetMutableData().set_value(self._force)
         try:
             updated = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
-            gained = updated.value()[self._ball_velocity] - self._state[self._ball_velocity]
-            # What touches the ball adds to what force and gravity do.
-            touched: bool = np.abs(gained - self._gain * ball_force - self._fall).max() > UNTOUCHED
+            before, after = (state[self._ball_velocity].tolist() for state in (self._state, updated.value()))
+            touched = unexplained_change(before, after, ball_force.tolist(), self._fall, self._gain) > UNTOUCHED
             if touched and not self._touched:
                 fastest = max((speed for *_, speed in self._ball_contacts()), default=0.0)
                 self._shapes.damp_ball(self._graph.GetMyMutableContextFromRoot(self._root), fastest)

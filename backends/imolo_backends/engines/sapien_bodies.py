@@ -22,11 +22,15 @@ UNLIMITED = 1e6  # [m/s, rad/s] PhysX clamps speeds, the spin of a rolling ball 
 CONTINUOUS = (-np.inf, np.inf)
 
 
-def set_body(component: Any, mass: float, com: Any, moments: Any) -> None:
-    """Set mass [kg], pose of COM and principal axes, and principal moments [kg m²]; nothing brakes the body."""
+def set_body(component: Any, mass: float, com: Any, moments: Any, push_out: float) -> None:
+    """Set mass [kg], pose of COM and principal axes, principal moments [kg m²], and how fast it leaves another [m/s].
+
+    Nothing brakes it.
+    """
     component.mass, component.cmass_local_pose, component.inertia = mass, com, moments
     component.linear_damping = component.angular_damping = 0.0  # .05 at first
     component.max_linear_velocity = component.max_angular_velocity = UNLIMITED
+    component.max_depenetration_velocity = push_out
 
 
 def set_joint(born: Any, joint: Joint | None, fixed_base: bool) -> None:

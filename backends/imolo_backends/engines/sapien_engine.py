@@ -12,7 +12,7 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import base_rotation, joint_index, rotation_matrices
+from imolo_backends.engines.engine_checks import base_rotation, joint_index, rotation_matrices, unexplained_change
 from imolo_backends.engines.sapien_bodies import (
     make_pose,
     make_shape,
@@ -86,12 +86,11 @@ class SapienEngine(EngineAdapter):
         self._add_robot(robot)
         self._ball = physx.PhysxRigidDynamicComponent()
         self._attach(self._ball, physx.PhysxCollisionShapeSphere(ball.radius, self._materials[1]), BALL, TOUCHING)
-        set_body(self._ball, ball.mass, sapien.Pose(), [ball.inertia] * 3)
-        self._ball.max_depenetration_velocity = options.push_out
+        set_body(self._ball, ball.mass, sapien.Pose(), [ball.inertia] * 3, options.push_out)
         self._add(self._ball, sapien.Pose(ball.position))
         self._ball.set_linear_velocity(ball.velocity)
-        self._ball_velocity = np.array(ball.velocity)
-        self._fall, self._gain = np.array(scene.gravity) * scene.timestep, scene.timestep / ball.mass
+        self._ball_velocity = list(ball.velocity)
+        self._fall, self._gain = [g * scene.timestep for g in scene.gravity], scene.timestep / ball.mass
         self._no_torque = np.zeros(3)
         return self._loaded()
 
@@ -131,8 +130,7 @@ class SapienEngine(EngineAdapter):
                     self._attach(component, make_shape(collision, material, self._folder), groups, offset)
             moments, axes = np.linalg.eigh(link.inertia)
             axes[:, 0] *= np.linalg.det(axes)  # right-handed
-            set_body(component, link.mass, make_pose(link.com, axes), moments)
-            component.max_depenetration_velocity = self._options.push_out
+            set_body(component, link.mass, make_pose(link.com, axes), moments, self._options.push_out)
             set_joint(component.joint, joint, scene.fixed_base)
             component.name = self._names[component] = name
             links[name] = component
@@ -163,12 +161,10 @@ class SapienEngine(EngineAdapter):
             self._robot.set_qf(self._torque)
         self._ball.add_force_torque(ball_force, self._no_torque)
         self._system.step()
-        before = self._ball_velocity
-        after = self._ball_velocity = self._ball.get_linear_velocity().astype(np.float64)
-        # What touches the ball adds to what force and gravity do.
-        gained = np.abs(after - before - self._gain * ball_force - self._fall)
-        touched: bool = gained.max() > UNTOUCHED * (1.0 + np.abs(after).max())
-        return touched
+        before, after = self._ball_velocity, self._ball.get_linear_velocity().tolist()
+        self._ball_velocity = after
+        change = unexplained_change(before, after, ball_force.tolist(), self._fall, self._gain)
+        return bool(change > UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2])))
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
