@@ -27,6 +27,8 @@ def _libiio() -> str:
 OPTIONAL = {
     "chromium": lambda: _programs("chromium", "chromium"),
     "ode": lambda: BACKENDS.status("ode").problem,
+    "drake": lambda: BACKENDS.status("drake").problem,
+    "sapien": lambda: BACKENDS.status("sapien").problem,
     "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
     "glib": lambda: "" if find_library("glib-2.0") else "libglib-2.0 not found; apt-get install libglib2.0-0",
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),
@@ -47,7 +49,7 @@ def needs(*names: str) -> list[pytest.MarkDecorator]:
     return [pytest.mark.skip(reason="; ".join(problems))] if problems else []
 
 
-BACKEND_NAMES = ("mujoco", "pybullet", "dart", "ode")
+BACKEND_NAMES = ("mujoco", "pybullet", "dart", "ode", "drake", "sapien")
 BACKEND_PARAMS = [pytest.param(name, marks=needs(name)) for name in BACKEND_NAMES]
 AVAILABLE = tuple(name for name in BACKEND_NAMES if not needs(name))
 """The backends of a test that runs several of them at once."""

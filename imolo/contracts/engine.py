@@ -149,6 +149,11 @@ class EngineOptions(Model):
         """Order of the time integration under these options; semi-implicit Euler's is 1."""
         return 1
 
+    @property
+    def precision(self) -> float:
+        """Relative error of rounding a number of the state; 2**-53 is double precision, 2**-24 single."""
+        return 2.0**-53
+
 
 class Engine(Protocol):
     """One trial of one robot and one ball; a fresh instance per trial, since a reset engine is not a fresh one.

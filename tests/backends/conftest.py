@@ -14,6 +14,8 @@ ENGINES = {
     "mujoco": ("imolo_backends.engines.mujoco_engine", "MujocoEngine", "MujocoOptions"),
     "pybullet": ("imolo_backends.engines.pybullet_engine", "PybulletEngine", "PybulletOptions"),
     "dart": ("imolo_backends.engines.dart_engine", "DartEngine", "DartOptions"),
+    "drake": ("imolo_backends.engines.drake_engine", "DrakeEngine", "DrakeOptions"),
+    "sapien": ("imolo_backends.engines.sapien_engine", "SapienEngine", "SapienOptions"),
     "ode": ("imolo_backends.engines.ode_engine", "OdeEngine", "OdeOptions"),
 }
 

@@ -390,3 +390,31 @@ def test_a_step_of_friction_that_is_lost_when_a_contact_begins_is_caught(engine:
             super().step(joint_torque, ball_force)
 
     assert_caught(engine, Lagged, "friction_begins")
+
+
+@pytest.mark.parametrize(
+    ("engine", "options"),
+    [
+        pytest.param(PybulletEngine, {"cone_friction": False}, id="pybullet"),
+        pytest.param(DartEngine, {"friction": "pyramid"}, id="dart"),
+    ],
+)
+def test_a_pyramid_is_caught_in_impacts(engine: Any, options: dict[str, Any]) -> None:
+    class Pyramid(engine):  # type: ignore[misc]
+        def __init__(self, scene: Scene, _: Any) -> None:
+            super().__init__(scene, OPTIONS[engine](**options))
+
+    assert_caught(engine, Pyramid, "friction_of_impacts")
+
+
+@pytest.mark.parametrize("engine", ENGINES[1:])  # MuJoCo declares that it hops
+def test_what_hops_while_it_slides_is_caught(engine: Any) -> None:
+    class Hopping(engine):  # type: ignore[misc]
+        """Tells of a body that slides .1 mm above where it is."""
+
+        def read(self) -> EngineState:
+            state: EngineState = super().read()
+            raised = np.add(state.link_position, (0.0, 0.0, 1e-4 * (self._steps > 0)))
+            return replace(state, link_position=raised)
+
+    assert_caught(engine, Hopping, "slide_0")

@@ -13,6 +13,7 @@ from imolo.conformance import Measurement
 from imolo.contracts.engine import Array
 from imolo.errors import DivergenceError
 from imolo_backends.conformance.bodies import (
+    GRAVITY,
     HIGH,
     JOINT_NAMES,
     LINK_NAMES,
@@ -130,7 +131,9 @@ def current_read(subject: Subject) -> Iterator[Measurement]:
         before = run.advance(0.02, PUSH)
         last = run.advance(timestep, PUSH)
     start = _distance(first.joint_angle, np.array(scene.joint_angle))
-    yield Measurement("angles at the start", "rad", 0.0, start, 1e-12, "as asked, rounding")
+    yield Measurement(
+        "angles at the start", "rad", 0.0, start, subject.rounding(3.0, least=1e-12), "as asked, rounding"
+    )
     start = _distance(first.link_position[0], np.array(scene.base_position))
     yield Measurement("base at the start", "m", 0.0, start, ROUNDING, "as asked, single precision")
     for when, state in (("at the start", first), ("after 20 ms", last)):
@@ -186,13 +189,16 @@ def units(subject: Subject) -> Iterator[Measurement]:
         thrown = run.advance(timestep, force=run.weight + ball.mass * velocity / timestep)
     way = _distance(held.ball_position, np.array(ball.position))
     speed = float(np.abs(held.ball_velocity).max())
-    yield Measurement("way while held", "m", 0.0, way, 1e-9, "no force, rounding")
-    yield Measurement("speed while held", "m/s", 0.0, speed, 1e-9, "no force, rounding")
+    far, fast = float(np.linalg.norm(ball.position)), float(np.linalg.norm(velocity))
+    rounding = subject.rounding(far, round(0.05 / timestep))
+    yield Measurement("way while held", "m", 0.0, way, rounding, "no force, rounding")
+    rounding = subject.rounding(GRAVITY * 0.05, round(0.05 / timestep))
+    yield Measurement("speed while held", "m/s", 0.0, speed, rounding, "no force, rounding")
     error = _distance(thrown.ball_velocity, velocity)
-    yield Measurement("velocity less the one thrown", "m/s", 0.0, error, 1e-9, "F dt = m v, rounding")
+    yield Measurement("velocity less the one thrown", "m/s", 0.0, error, subject.rounding(fast), "F dt = m v, rounding")
     share = 1.0 if subject.order == 1 else 0.5
     error = _distance(thrown.ball_position - held.ball_position, share * velocity * timestep)
-    yield Measurement("way in that step", "m", 0.0, error, 1e-9, "v dt (order 1) or ½ v dt, rounding")
+    yield Measurement("way in that step", "m", 0.0, error, subject.rounding(far), "v dt (order 1) or ½ v dt, rounding")
 
 
 def no_self_collision(subject: Subject) -> Iterator[Measurement]:
@@ -217,7 +223,9 @@ def no_sleep(subject: Subject) -> Iterator[Measurement]:
     arm = Mechanism(scene).mass_matrix(state.joint_angle, rotation_of(state))[12, 12]
     expected = pull * scene.timestep / arm
     thrown = _distance(state.ball_velocity, velocity)
-    yield Measurement("velocity of the ball less the one thrown", "m/s", 0.0, thrown, 1e-9, "F dt = m v, rounding")
+    rounding = subject.rounding(float(np.linalg.norm(velocity)))
+    basis = "F dt = m v, rounding"
+    yield Measurement("velocity of the ball less the one thrown", "m/s", 0.0, thrown, rounding, basis)
     # The arms were pressed into their stops with .6 N·m, which a hard stop no longer gives back.
     basis = "τ dt / I of an arm; what its stop bore is 15 %, the recoil of the trunk a few"
     yield Measurement("velocity of the arms", "rad/s", expected, gained, 0.2 * expected, basis)

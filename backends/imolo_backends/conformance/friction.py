@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from imolo.conformance import Measurement
 from imolo.contracts.engine import Array, Ball, BoxShape, Scene
@@ -183,6 +184,32 @@ def friction_begins(subject: Subject) -> Iterator[Measurement]:
     yield Measurement("mu got by a box that lands", "", friction, got, 0.01 * friction, basis)
 
 
+def friction_of_impacts(subject: Subject) -> Iterator[Measurement]:
+    """Cubes that land tumbling and slipping get no more than mu times the normal impulse, in whatever direction."""
+    friction, side, speed, fall, flight, glance = 0.2, 0.1, 1.0, 1.0, 0.12, 0.01
+    rng = np.random.default_rng(1)
+    excess = []
+    for heading in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        turn = Rotation.random(random_state=rng)
+        thrown = np.array([speed * np.cos(heading), speed * np.sin(heading), -fall])
+        scene = box_scene(
+            (side, side, side),
+            mass=0.4,
+            base_position=(0.0, 0.0, side),
+            base_quaternion=tuple(np.roll(turn.as_quat(), 1).tolist()),
+            base_velocity=tuple(thrown.tolist()),
+            base_angular_velocity=tuple(rng.uniform(-10.0, 10.0, 3).tolist()),
+            friction=friction,
+            gravity=WEIGHTLESS,
+        )
+        with subject.run(scene) as run:
+            before, after = (run.advance(duration).link_position[0] for duration in (flight, glance))
+        gained = (after - before) / glance - thrown
+        excess.append(float(np.hypot(*gained[:2]) / (friction * gained[2])) - 1.0)
+    basis = "a cone is kept at every instant, and so by the sum; a hundredth"
+    yield Measurement("friction beyond mu times the normal impulse", "", 0.0, max(*excess, 0.0), 0.01, basis)
+
+
 def slide_to_roll(subject: Subject) -> Iterator[Measurement]:
     """A ball that slides without spin ends up rolling, a solid one with 5/7 of its speed, a hollow one with 3/5."""
     early, late, speed = 0.05, 0.25, 2.0  # [s, s, m/s]
@@ -254,6 +281,7 @@ SCENES: tuple[SceneCheck, ...] = (
     friction_asked,
     friction_combination,
     friction_begins,
+    friction_of_impacts,
     slide_to_roll,
     friction_ramp,
 )

@@ -82,8 +82,8 @@ def spinning_joint(subject: Subject) -> Iterator[Measurement]:
     with subject.run(scene) as run:
         run.advance(timestep, np.array([speed * ROD_ABOUT_END / timestep]))
         state = run.advance(10.0)
-    measured = float(state.joint_velocity[0])
-    yield Measurement("velocity", "rad/s", speed, measured, ROUNDING, "nothing brakes it; rounding of 10000 steps")
+    measured, tolerance = float(state.joint_velocity[0]), subject.rounding(speed, 10000, ROUNDING)
+    yield Measurement("velocity", "rad/s", speed, measured, tolerance, "nothing brakes it; rounding of 10000 steps")
 
 
 def rod_pendulum(subject: Subject) -> Iterator[Measurement]:
@@ -143,12 +143,14 @@ def mass_matrix(subject: Subject) -> Iterator[Measurement]:
     """From rest, a step under the torque of one joint gives the robot what the mass matrix says."""
     timestep, torque = 1e-4, 0.3
     scene = flying_robot(timestep=timestep, gravity=WEIGHTLESS, joint_angle=tuple(CROOKED.tolist()))
-    inverse = np.linalg.inv(Mechanism(scene).mass_matrix(CROOKED, np.eye(3)))[6:, 6:]
+    matrix = Mechanism(scene).mass_matrix(CROOKED, np.eye(3))
+    inverse = np.linalg.inv(matrix)[6:, 6:]
+    tolerance = subject.rounding(float(np.linalg.cond(matrix)), least=ROUNDING)
     for joint, name in enumerate(JOINT_NAMES):
         response = subject.final_state(scene, timestep, torque * np.eye(8)[joint]).joint_velocity / (torque * timestep)
         error = float(np.abs(response - inverse[joint]).max() / inverse[joint, joint])
-        basis = "M⁻¹ from the URDF, relative to its diagonal; COMs in single precision"
-        yield Measurement(f"response to {name}, largest error", "", 0.0, error, ROUNDING, basis)
+        basis = "M⁻¹ from the URDF, relative to its diagonal; COMs in single precision, or its condition times rounding"
+        yield Measurement(f"response to {name}, largest error", "", 0.0, error, tolerance, basis)
 
 
 def robot_drop(subject: Subject) -> Iterator[Measurement]:

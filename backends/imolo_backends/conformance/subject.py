@@ -35,6 +35,16 @@ class Subject:
         """Order of the engine's integrator under these options."""
         return self.options.integrator_order
 
+    def rounding(self, size: float, steps: int = 1, least: float = 1e-9) -> float:
+        """Return how far a number may be off for rounding alone.
+
+        Args:
+            size: Of the number, or of the largest one that goes into it.
+            steps: That add it up: each rounds the sum, and four numbers that go in (force, mass, gravity, timestep).
+            least: What is granted anyway.
+        """
+        return max(least, self.options.precision * size * (steps + 4))
+
     @contextmanager
     def run(self, scene: Scene) -> Iterator["Run"]:
         """Load a scene, and free the engine at the end."""
@@ -100,11 +110,13 @@ class Subject:
                 results.append(errors(run))
         coarse, fine = results
         rate, duration = motion
-        lowest, cause = floor
+        give, cause = floor
         step = rate * timesteps[1]
         relative = rate * duration * step**order
         for key, (error, size) in fine.items():
             quantity, unit = key.rstrip("]").split(" [")
+            rounding = self.rounding(size, round(duration / timesteps[1]), least=0.0)
+            lowest = max(give, rounding)
             before = coarse[key][0]
             limit = at_zero(before, error, order)
             yield Measurement(
@@ -120,7 +132,7 @@ class Subject:
                 unit,
                 0.0,
                 float(np.linalg.norm(limit)),
-                size * relative * max(step, relative) + lowest,
+                size * relative * max(step, relative) + max(give, 3.0 * rounding),
                 f"Richardson leaves the next order, and {cause}",
             )
             if np.linalg.norm(error) > 10.0 * lowest:

@@ -5,8 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from imolo.config.model import Model
-from imolo.contracts.engine import Ball, Engine
+from imolo.contracts.engine import Ball, Engine, EngineOptions
 from imolo.contracts.robot import Body
 from imolo.errors import BackendError
 from imolo_backends.engines.engine_checks import base_rotation
@@ -20,7 +19,7 @@ SOLID = (0.045, 0.010, 8.1e-6)  # radius [m], mass [kg] and moment of inertia [k
 
 
 @cache
-def check_start_up(engine_class: type[Engine], options: Model, timestep: float, robot: Body) -> None:
+def check_start_up(engine_class: type[Engine], options: EngineOptions, timestep: float, robot: Body) -> None:
     """Check, once per process, that a ball falls freely and that joints stop at their limits.
 
     Args:
@@ -60,7 +59,8 @@ def check_start_up(engine_class: type[Engine], options: Model, timestep: float, 
         engine.close()
     expected = np.array(scene.gravity) * steps * timestep
     # Every integrator gets a constant acceleration exactly right in the velocity, but for rounding in each step.
-    if not np.allclose(ball_velocity, expected, rtol=0.0, atol=1e-9 * steps):
+    rounding = max(1e-9, options.precision * float(np.linalg.norm(expected)))
+    if not np.allclose(ball_velocity, expected, rtol=0.0, atol=rounding * steps):
         raise BackendError(
             f"{name}: after {steps} steps of free fall the ball has {ball_velocity.tolist()} m/s instead of "
             f"{expected.tolist()}; something damps or drives it"
