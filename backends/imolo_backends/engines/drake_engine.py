@@ -56,6 +56,8 @@ class DrakeEngine(EngineAdapter):
     def load(self, urdf: Path, robot: RobotModel, options: DrakeOptions) -> Loaded:
         """See `EngineAdapter.load`."""
         scene, ball = self._scene, self._scene.ball
+        if scene.robot_restitution > 0.0:
+            raise BackendError("in Drake the robot's own contacts do not bounce here; leave robot_restitution at 0")
         config = MultibodyPlantConfig(
             time_step=scene.timestep,
             contact_model="point",

@@ -14,6 +14,7 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import base_rotation, joint_index, turned_inertia
+from imolo_backends.engines.mujoco_bounce import bouncing_solref
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
@@ -140,17 +141,6 @@ class MujocoEngine(EngineAdapter):
         return self._body_position[links], self._body_rotation[links], self._base_quaternion, self._ball_position
 
 
-def damping_ratio(restitution: float) -> float:
-    """Return the damping ratio of a spring-damper contact that can only push and bounces with this restitution.
-
-    A ratio of sin(a) bounces with exp(-(pi - 2 a) tan(a)); see Schwager and Pöschel, Granular Matter 9, 465 (2007).
-    Below .135, which is critical damping, the ratio stays 1.
-    """
-    angle = np.linspace(0.0, 0.5 * np.pi, 2001)[:-1]
-    bounce = np.exp(-(np.pi - 2.0 * angle) * np.tan(angle))
-    return float(np.sin(np.interp(-restitution, -bounce, angle, right=0.5 * np.pi)))
-
-
 def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
     spec = mujoco.MjSpec.from_file(str(urdf))
     # Otherwise the base would become part of the world.
@@ -164,7 +154,7 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
         spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
     solref = options.solref
     if scene.robot_restitution > 0.0:
-        solref = _bouncing(options.ball_frequency, scene.robot_restitution, scene.timestep)
+        solref = bouncing_solref(options.ball_frequency, scene.robot_restitution, scene.timestep)
     for geom in spec.geoms:
         _set_contact(geom, ROBOT_MASK, scene.friction, solref)
     for joint in spec.joints:
@@ -186,17 +176,12 @@ def _build(scene: Scene, options: MujocoOptions, urdf: Path) -> Any:
     body.explicitinertial = True
     body.add_freejoint()
     geom = body.add_geom(name=BALL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(ball.radius, 0.0, 0.0))
-    _set_contact(geom, BALL_MASK, scene.friction, _bouncing(options.ball_frequency, scene.restitution, scene.timestep))
+    _set_contact(
+        geom, BALL_MASK, scene.friction, bouncing_solref(options.ball_frequency, scene.restitution, scene.timestep)
+    )
     geom.priority = 1
     geom.solimp[:2] = 0.95
     return spec
-
-
-def _bouncing(frequency: float, restitution: float, timestep: float) -> tuple[float, float]:
-    """Return the `solref` of contacts of a natural frequency [rad/s] that bounce."""
-    # Ten steps per radian keep the explicit damper stable. Negative numbers are stiffness and damping per mass.
-    frequency = min(frequency, 0.2 / timestep)
-    return -(frequency**2), -2.0 * damping_ratio(restitution) * frequency
 
 
 def _set_contact(geom: Any, mask: tuple[int, int], friction: float, solref: tuple[float, float]) -> None:

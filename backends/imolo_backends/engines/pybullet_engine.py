@@ -126,10 +126,9 @@ class PybulletEngine(EngineAdapter):
         # Without `mass` Bullet would ignore the inertia.
         change(mass=scene.ball.mass, localInertiaDiagonal=[scene.ball.inertia] * 3)
         # At small steps a body would be stopped before it touches, and not bounce.
-        change(contactProcessingThreshold=0.0)
-        if scene.robot_restitution > 0.0:
-            for link in self._link_index.values():
-                pybullet.changeDynamics(self._robot, link, contactProcessingThreshold=0.0, **self._at)
+        bouncing = self._link_index.values() if scene.robot_restitution > 0.0 else ()
+        for body, link in ((ball, BASE), *((self._robot, link) for link in bouncing)):
+            pybullet.changeDynamics(body, link, contactProcessingThreshold=0.0, **self._at)
 
     def _set_start(self) -> None:
         scene, robot = self._scene, self._robot

@@ -75,7 +75,7 @@ class SapienEngine(EngineAdapter):
         self._system = physx.PhysxCpuSystem()
         self._system.timestep = scene.timestep
         self._world = sapien.Scene([self._system])
-        restitutions = (0.0, scene.restitution)
+        restitutions = (scene.robot_restitution, scene.restitution)
         self._materials = [physx.PhysxMaterial(scene.friction, scene.friction, e) for e in restitutions]
         self._offsets = (options.contact_offset, TOUCHING)
         self._names: dict[Any, str] = {}
