@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.optimize import linear_sum_assignment
 
 from imolo.config.model import Model, NonNegative, Positive
 from imolo_msgs import marker_t, mocap_frame_t
@@ -64,6 +63,8 @@ class MarkerGuard:
         # What is impossible is chosen where nothing else is left.
         cost = np.where(possible, 0.0, 1.0 + np.sum(distances**2)) + distances**2
         left_out = []
+        from scipy.optimize import linear_sum_assignment  # late, so that the backends are listed at once
+
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if not possible[i, j]:
                 left_out.append(jumped[i])

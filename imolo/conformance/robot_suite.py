@@ -107,7 +107,7 @@ class _Probe:
         yield Measurement(what, "", 0.0, len(impossible), 0.0, "triangle inequality of principal moments")
 
     def ranges(self) -> Iterator[Measurement]:
-        """Compare ready pose and resting targets with their ranges."""
+        """Compare ready pose and resting targets with their ranges, and see that effectors can touch."""
         low, high = self.body.joint_limits.T
         ready = np.array(self.body.ready)
         beyond = np.maximum(np.maximum(low - ready, ready - high), 0.0)
@@ -115,6 +115,10 @@ class _Probe:
         what = f"ready pose beyond the farthest joint's limit ({joint})"
         yield Measurement(what, "rad", 0.0, float(beyond.max()), 1e-9, "rounding")
         wrong = [c.name for c in self._channels if not (c.low <= c.rest <= c.high and c.low <= c.released <= c.high)]
+        model = self.body.model
+        bare = [one.name for one in self.body.effectors if not model.links[one.link].collisions]
+        what = f"effectors whose link has no collision shape to touch with ({', '.join(bare) or 'none'})"
+        yield Measurement(what, "", 0.0, len(bare), 0.0, "a ball touches shapes")
         what = f"channels whose rest or release is out of range ({', '.join(wrong) or 'none'})"
         yield Measurement(what, "", 0.0, len(wrong), 0.0, "`Channel`")
 

@@ -73,6 +73,9 @@ class ActuatorsConfig(Model):
         """Standard deviation of the channels' sensors, in their unit."""
         raise NotImplementedError
 
+    def check_joints(self, joint_names: Sequence[str]) -> None:
+        """Raise `ConfigError` where the settings do not fit the joints of a robot, in their order."""
+
     def settled_torque(self, target: Array, joint_angle: Array) -> Array:
         """Return what the joint torques settle to under constant targets, the joints held [N·m], shape (J,).
 

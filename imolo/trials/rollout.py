@@ -13,9 +13,10 @@ from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.commands import Commands
-from imolo_msgs import actuator_state_t, mocap_frame_t, truth_robot_t
 
 Array = NDArray[np.float64]
+
+HEARD = (channels.MOCAP, channels.TRUTH_ROBOT, channels.ACTUATOR_STATE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,32 +47,26 @@ class _Ear:
 
     def __init__(self) -> None:
         self.command: Callable[[Any], None] = lambda _: None
-        self.frames: list[tuple[int, dict[int, tuple[float, ...]]]] = []
-        self.truth: list[tuple[int, list[float], list[list[float]]]] = []
-        self.sensors: list[tuple[int, list[float]]] = []
+        self.heard: dict[str, list[bytes]] = {name: [] for name in HEARD}
+
+    def publish_raw(self, channel: str, data: bytes) -> None:
+        """Keep a message."""
+        if channel in self.heard:
+            self.heard[channel].append(data)
 
     def publish(self, channel: str, message: Any) -> None:
-        """Keep what a message says; a backend fills the same one again and again."""
-        if channel == channels.MOCAP:
-            self._see(message)
-        elif channel == channels.TRUTH_ROBOT:
-            self._know(message)
-        elif channel == channels.ACTUATOR_STATE:
-            self._feel(message)
+        """Keep a message; a backend fills the same one again and again."""
+        self.publish_raw(channel, message.encode())
 
     def subscribe(self, channel: str, handler: Callable[[Any], None]) -> None:
         """Remember who takes commands."""
         if channel == channels.ACTUATOR_COMMAND:
             self.command = handler
 
-    def _see(self, frame: mocap_frame_t) -> None:
-        self.frames.append((frame.utime, {m.marker_id: tuple(m.marker_position) for m in frame.markers}))
-
-    def _know(self, truth: truth_robot_t) -> None:
-        self.truth.append((truth.utime, truth.joint_angle, truth.effector_position))
-
-    def _feel(self, state: actuator_state_t) -> None:
-        self.sensors.append((state.utime, state.measured))
+    def messages(self, channel: str) -> list[Any]:
+        """Return what was published on a channel."""
+        decode = channels.CHANNELS[channel].message_type.decode
+        return [decode(data) for data in self.heard[channel]]
 
 
 def roll_out(config: ExperimentConfig, commands: Commands, duration: float, seed: int = 0) -> Rollout:
@@ -95,19 +90,20 @@ def roll_out(config: ExperimentConfig, commands: Commands, duration: float, seed
         backend.advance(round(duration * 1e6))
     finally:
         backend.close()
-    labels = sorted({label for _, markers in ear.frames for label in markers if label >= 0})
+    frames, truth, sensors = (ear.messages(channel) for channel in HEARD)
+    seen = [{marker.marker_id: marker.marker_position for marker in frame.markers} for frame in frames]
+    labels = sorted({label for markers in seen for label in markers if label >= 0})
     unseen = (np.nan,) * 3
-    joints = len(ear.truth[0][1]) if ear.truth else 0
     return Rollout(
-        time=_seconds([utime for utime, _ in ear.frames]),
-        markers={label: np.array([markers.get(label, unseen) for _, markers in ear.frames]) for label in labels},
-        truth_time=_seconds([utime for utime, _, _ in ear.truth]),
-        joint_angle=np.array([angle for _, angle, _ in ear.truth]).reshape(len(ear.truth), joints),
-        effector=np.array([position for _, _, position in ear.truth]),
-        sensor_time=_seconds([utime for utime, _ in ear.sensors]),
-        measured=np.array([measured for _, measured in ear.sensors]),
+        time=_seconds(frames),
+        markers={label: np.array([markers.get(label, unseen) for markers in seen]) for label in labels},
+        truth_time=_seconds(truth),
+        joint_angle=np.array([one.joint_angle for one in truth]),
+        effector=np.array([one.effector_position for one in truth]),
+        sensor_time=_seconds(sensors),
+        measured=np.array([one.measured for one in sensors]),
     )
 
 
-def _seconds(utimes: list[int]) -> Array:
-    return np.array(utimes, dtype=np.float64) * 1e-6
+def _seconds(messages: list[Any]) -> Array:
+    return np.array([message.utime for message in messages], dtype=np.float64) * 1e-6

@@ -13,6 +13,7 @@ from imolo.conformance.robot_suite import RobotSuite, robot_suites
 from imolo.contracts.registry import ROBOTS
 from imolo.errors import ConfigError, ImoloError
 from imolo.scaffold.files import write_files
+from imolo_backends.actuators.motors import MotorsConfig
 
 Wrong = Callable[[str, str], RobotSuite]
 
@@ -111,3 +112,42 @@ def test_ready_pose_beyond_a_limit_is_told_with_its_joint(wrong: Wrong) -> None:
     assert "shoulder" in beyond.quantity
     (pose,) = (one.remark for one in found if one.check == "ready_pose")
     assert "shoulder cannot start at 171.887°; its range is -29..149°" in pose
+
+
+def test_effector_without_a_shape_is_told(wrong: Wrong) -> None:
+    found = failures(wrong("collision>", "visual>"))
+    assert any("(plate)" in one.measurement.quantity for one in found if one.measurement is not None)
+
+
+def motors(*names: str) -> MotorsConfig:
+    motor = {"stiffness": 1.0, "damping": 1.0, "torque_limit": 1.0, "speed_limit": 1.0, "low": -1.0, "high": 1.0}
+    return MotorsConfig.model_validate({"motors": [{"name": name, **motor} for name in names]})
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("shoulder", "ellbow"), "motor 'ellbow' stands where the joint is 'elbow'; did you mean 'elbow'"),
+        (("elbow", "shoulder"), "motor 'elbow' stands where the joint is 'shoulder'"),
+        (("shoulder",), "1 motors for 2 joints; give one for each of: shoulder, elbow"),
+        (("A1", "ebow"), "did you mean 'elbow'"),
+    ],
+)
+def test_motors_that_do_not_fit_the_joints_are_refused(names: tuple[str, ...], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        motors(*names).check_joints(("shoulder", "elbow"))
+
+
+def test_motors_may_bear_names_of_their_own() -> None:
+    motors("A1", "A2").check_joints(("shoulder", "elbow"))
+
+
+def test_two_motors_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="two motors are named 'elbow'"):
+        motors("elbow", "elbow")
+
+
+def test_motor_of_no_joint_ends_the_checks_in_one_line(wrong: Wrong) -> None:
+    found = failures(wrong("name: shoulder", "name: shuolder"))
+    assert found
+    assert all("did you mean 'shoulder'" in one.remark for one in found if one.remark)

@@ -1,5 +1,6 @@
 """Electric actuators: a motor on every joint that is held at its target by a PD law, within its torque limit."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -12,7 +13,7 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import SimulationConfig
 from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
-from imolo.errors import ConfigError
+from imolo.errors import ConfigError, did_you_mean
 from imolo.method.motion import PhasedMotion
 
 Array = NDArray[np.float64]
@@ -22,7 +23,7 @@ class Motor(Model):
     """The motor of one joint, seen from the joint's side of its gear.
 
     Attributes:
-        name: For people; that of the joint is a good one.
+        name: For people; that of its joint is a good one, and if one motor bears a joint's name, all must.
         stiffness: Gain of the position error [N·m/rad].
         damping: Gain of the velocity [N·m·s/rad].
         torque_limit: Most that it gives [N·m].
@@ -69,6 +70,29 @@ class MotorsConfig(ActuatorsConfig):
     delay: NonNegative = Field(0.002, description="of a command [s], assumed: a servo loop at 500 Hz")
     encoder_noise: NonNegative = Field(1e-5, description="sd of the measured angle [rad], assumed: 18 bits per turn")
 
+    @model_validator(mode="after")
+    def _names_are_distinct(self) -> Self:
+        names = [motor.name for motor in self.motors]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two motors are named {name!r}; give each a name of its own")
+        return self
+
+    def check_joints(self, joint_names: Sequence[str]) -> None:
+        """See `ActuatorsConfig.check_joints`: the order decides, so names must not say otherwise."""
+        names = [motor.name for motor in self.motors]
+        if len(names) != len(joint_names):
+            raise ConfigError(
+                f"there are {len(names)} motors for {len(joint_names)} joints; give one for each of: "
+                f"{', '.join(joint_names)}"
+            )
+        for name, joint in zip(names, joint_names, strict=True):
+            if name != joint and (set(names) & set(joint_names) or did_you_mean(name, joint_names)):
+                raise ConfigError(
+                    f"motor {name!r} stands where the joint is {joint!r}{did_you_mean(name, joint_names)}; give the "
+                    f"motors in the order of the joints: {', '.join(joint_names)}"
+                )
+
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The motors; released, they return to rest."""
@@ -95,8 +119,6 @@ class MotorsConfig(ActuatorsConfig):
     def create(self, joint_limits: Array, joint_angle: Array, timestep: float, drawn: Any = None) -> Actuators:
         """Switch the motors on, their targets at rest."""
         count = len(self.motors)
-        if len(joint_limits) != count:
-            raise ConfigError(f"there are {count} motors for {len(joint_limits)} joints; give one for each")
         delay, scale = (np.zeros(count), np.ones(count)) if drawn is None else drawn
         return Motors(self, timestep, joint_angle, np.maximum(self.delay + delay, 0.0), scale)
 

@@ -22,7 +22,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context
-from scipy.optimize import brentq
 
 from imolo.contracts.engine import Array, Scene
 from imolo.contracts.urdf import RobotModel
@@ -176,4 +175,6 @@ def damping_of_bounce(restitution: float, turn: float) -> float:
         return 0.0
     if bounce(MOST_DAMPED) >= restitution:
         return MOST_DAMPED
+    from scipy.optimize import brentq  # late, so that the backends are listed at once
+
     return float(brentq(lambda damping: bounce(damping) - restitution, 0.0, MOST_DAMPED))
