@@ -26,8 +26,8 @@ class _Inside(Bus):
 
     def __init__(self, hear: Callable[[str, bytes], None], strange: Callable[[str], None]) -> None:
         """Hand everything that is published to `hear`, and the channel of what cannot be read to `strange`."""
+        super().__init__()
         self._hear, self._tell_strange = hear, strange
-        self._handlers: dict[str, list[Callable[[str, bytes], None]]] = {}
 
     def publish_raw(self, channel: str, data: bytes) -> None:
         """Hand a message over."""
@@ -35,15 +35,12 @@ class _Inside(Bus):
 
     def tell(self, channel: str, data: bytes) -> None:
         """Let the planner hear a message."""
-        for handler in self._handlers.get(channel, ()):
-            handler(channel, data)
+        self._transport.publish(channel, data)
+        self.drain()
 
     def pass_over(self, channel: str) -> None:
         """Tell of what cannot be read."""
         self._tell_strange(channel)
-
-    def _subscribe(self, channel: str, handler: Callable[[str, bytes], None]) -> None:
-        self._handlers.setdefault(channel, []).append(handler)
 
 
 class PlannerProgram:

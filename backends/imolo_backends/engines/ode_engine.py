@@ -217,10 +217,6 @@ class OdeEngine(EngineAdapter):
 
 LIMITATIONS = (
     Limitation(
-        "the pyramid is turned to the slip before the step, and an impact turns the slip: up to 1.41 mu at its edges",
-        {"friction_of_impacts": ("friction beyond mu times the normal impulse",)},
-    ),
-    Limitation(
         "ODE damps what tumbles: its gyroscopic torque is implicit, of first order with a large error",
         {"tumbling_box": ("error of orientation", "error of orientation at dt = 0", "order of orientation")},
     ),
