@@ -15,7 +15,7 @@ from typing import Any
 
 import lcm
 
-import imolo.messaging.bus
+import imolo.messaging.transport
 from imolo.command_line.main import main
 
 LONGEST_DELAY = 0.02  # [s]
@@ -72,6 +72,6 @@ class ChaoticLCM:
 if __name__ == "__main__":
     _, seed, share, *command = sys.argv
     ChaoticLCM.rng, ChaoticLCM.share = random.Random(int(seed)), float(share)
-    imolo.messaging.bus.lcm = SimpleNamespace(LCM=ChaoticLCM)  # type: ignore[attr-defined]
+    imolo.messaging.transport.lcm = SimpleNamespace(LCM=ChaoticLCM)  # type: ignore[attr-defined]
     sys.argv = ["imolo", *command]
     main()
