@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, SerializeAsAny, model_validator
 
 from imolo.ball.model import BallModelConfig
 from imolo.ball.tracker import BallTrackerConfig
+from imolo.config.links import LinkConfig
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import SimulationConfig
 from imolo.errors import ConfigError
@@ -32,6 +33,13 @@ class RobotConfig(Model):
     """Which robot; a robot may have options of its own."""
 
     name: str = Field(description="a table learned on another robot is refused")
+    links: dict[str, LinkConfig] = Field(
+        {}, description="masses and centres of mass that differ from the model's", exclude_if=lambda links: not links
+    )
+
+    def __hash__(self) -> int:
+        """Make `body_of` find what it made before, though a dictionary has no hash."""
+        return hash(self.model_dump_json())
 
 
 class TrainingConfig(Model):

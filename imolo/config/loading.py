@@ -1,11 +1,13 @@
 """From YAML, or from the name of a backend, to a checked config: defaults of the robot, options of the plug-ins."""
 
 from collections.abc import Mapping
-from functools import cache
+from dataclasses import replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 from imolo.config.experiment import ExperimentConfig, PluginConfig, RobotConfig
+from imolo.config.links import with_links
 from imolo.config.model import Model
 from imolo.config.reading import check_model, read_yaml
 from imolo.contracts.backend import Backend, BackendPlugin
@@ -144,15 +146,17 @@ def create_task(config: ExperimentConfig) -> Task:
     return task_plugin(config).create(config, task_options(config), body_of(config.robot))
 
 
-@cache
+@lru_cache(maxsize=64)
 def body_of(robot: RobotConfig) -> Body:
-    """Return the body of a robot under its options.
+    """Return the body of a robot under its options, its links as the config has them.
 
     Raises:
         BackendNotFoundError: The robot is unknown.
         BackendError: Its model cannot be used.
+        ConfigError: A link that is to differ is not there.
     """
-    return ROBOTS.load(robot.name).body(robot)
+    body = ROBOTS.load(robot.name).body(robot.model_copy(update={"links": {}}))
+    return replace(body, urdf=with_links(body.urdf, robot.links)) if robot.links else body
 
 
 def known_body(name: str) -> Body | None:

@@ -1,11 +1,12 @@
 """Parameters of a fit: settings of a config by their path, and how they are scaled for a search.
 
 A path is written as in a config, with points: `simulation.contact.friction`, `simulation.actuators.rest_pressure.7`
-(entries of a list count from 0), `backend.impratio`. A search sees each parameter between 0 and 1.
+(entries of a list count from 0), `backend.impratio`, `robot.links.trunk.mass`. A search sees each parameter between 0
+and 1.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
 
@@ -13,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError, model_validator
 
-from imolo.config.loading import backend_options
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.links import link_as_it_is
+from imolo.config.loading import backend_options, body_of
 from imolo.config.model import Model, Searched
 from imolo.config.reading import explain
 from imolo.errors import ConfigError, did_you_mean
@@ -23,6 +26,7 @@ Settings = Mapping[str, float]
 Config = TypeVar("Config", bound=Model)
 
 BACKEND = "backend."
+LINKS = "robot.links."
 
 
 class ParameterConfig(Model):
@@ -153,7 +157,7 @@ def read_setting(config: Any, path: str) -> float:
     Raises:
         ConfigError: It leads to nothing, or to no number.
     """
-    place, key = _place(_content(config), path)
+    place, key = _place(_content(config, [path]), path)
     value = place[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"parameter {path!r} is {value!r}, no number; only numbers can be fitted")
@@ -166,7 +170,7 @@ def apply(config: Config, settings: Settings) -> Config:
     Raises:
         ConfigError: A path leads to nothing, or the config refuses a value.
     """
-    content = _content(config)
+    content = _content(config, settings)
     for path, value in settings.items():
         place, key = _place(content, path)
         place[key] = value
@@ -181,7 +185,7 @@ def apply(config: Config, settings: Settings) -> Config:
 
 def patch(settings: Settings, config: Any) -> dict[str, Any]:
     """Return settings as the part of a config that sets them; a list is written whole."""
-    content = _content(config)
+    content = _content(config, settings)
     result: dict[str, Any] = {}
     for path, value in settings.items():
         *parts, last = path.split(".")
@@ -197,9 +201,16 @@ def patch(settings: Settings, config: Any) -> dict[str, Any]:
     return result
 
 
-def _content(config: Any) -> dict[str, Any]:
+def _content(config: Any, paths: Iterable[str]) -> dict[str, Any]:
+    """Return a config with all options of its backend, and the links that paths lead to as the model says they are."""
     content: dict[str, Any] = config.model_dump(mode="json")
     content["backend"].update(backend_options(config).model_dump(mode="json"))
+    if isinstance(config, ExperimentConfig):
+        links = content["robot"].setdefault("links", {})
+        unchanged = body_of(config.robot.model_copy(update={"links": {}})).urdf
+        for name in {path.removeprefix(LINKS).split(".")[0] for path in paths if path.startswith(LINKS)}:
+            given = {key: value for key, value in links.get(name, {}).items() if value is not None}
+            links[name] = {**link_as_it_is(unchanged, name).model_dump(mode="json"), **given}
     return content
 
 

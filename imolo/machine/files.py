@@ -1,15 +1,27 @@
 """Files that are read within bounds, and written whole or not at all."""
 
+import atexit
 import contextlib
 import errno
 import os
+import shutil
 import stat
+import tempfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
 TEMPORARY = ".*.tmp"
 """What a process that was killed leaves of a file it wrote."""
+
+
+@cache
+def process_folder() -> Path:
+    """Return a folder that is gone when this process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="imolo-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def open_bounded(path: Path, most: int) -> BinaryIO:

@@ -1,7 +1,7 @@
 """A short run that an engine must pass before its first trial of a robot, for what cannot be read back from it."""
 
 from dataclasses import replace
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -20,7 +20,7 @@ ASIDE = (20.0, 0.0, HEIGHT)  # [m] where the ball is
 SOLID = (0.045, 0.010, 8.1e-6)  # radius [m], mass [kg] and moment of inertia [kg m²] of any ball
 
 
-@cache
+@lru_cache(maxsize=64)
 def check_start_up(engine_class: type[Engine], options: Model, timestep: float, robot: Body) -> None:
     """Check, once per process, that a ball falls freely and that joints stop at their limits.
 

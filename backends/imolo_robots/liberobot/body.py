@@ -1,8 +1,5 @@
 """Liberobot's body (Sec. V-A): its names, its ready pose on the box, its soles."""
 
-import atexit
-import shutil
-import tempfile
 from functools import cache, partial
 from pathlib import Path
 from typing import Literal
@@ -18,6 +15,7 @@ from imolo.contracts.engine import BoxShape
 from imolo.contracts.robot import Body, Effector, Foot, Marker, Pose
 from imolo.contracts.urdf import read_urdf
 from imolo.errors import BackendError
+from imolo.machine.files import process_folder
 
 Array = NDArray[np.float64]
 
@@ -142,9 +140,7 @@ def stand_on_box(urdf: Path, angles: Array) -> Pose:
 
 @cache
 def _flat_sole_copy(urdf: Path) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="imolo-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return with_flat_sole(urdf, folder / f"{urdf.stem}_flat_sole.urdf")
+    return with_flat_sole(urdf, process_folder() / f"{urdf.stem}_flat_sole.urdf")
 
 
 def with_flat_sole(urdf_path: Path, out_path: Path) -> Path:
