@@ -29,6 +29,7 @@ class Mocap:
         self._link = np.array([body.link_of(marker) for marker in body.markers])
         self._offset = np.array([marker.offset for marker in body.markers])
         self._frame_number = 0
+        self._late = round(config.clock_offset * 1e6)
         self._waiting: deque[tuple[int, mocap_frame_t]] = deque()
 
     def expose(self, utime: int, state: EngineState) -> None:
@@ -57,7 +58,7 @@ class Mocap:
             ghost = state.link_position[0] + GHOST_DISTANCE * (2.0 * np.array(ghost_place) - 1.0)
             markers.append(_marker(marker_t.UNLABELLED, ghost.tolist()))
         frame = mocap_frame_t()
-        frame.utime = utime
+        frame.utime = utime + self._late
         frame.frame_number = self._frame_number
         frame.num_markers = len(markers)
         frame.markers = markers

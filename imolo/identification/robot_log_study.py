@@ -1,0 +1,131 @@
+"""A study of a robot: what is assumed of it, fitted to logs of its motions."""
+
+import fnmatch
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import body_of, make_config
+from imolo.config.model import Model, Positive
+from imolo.errors import ConfigError, TrainingDataError
+from imolo.identification.evaluation import Bench
+from imolo.identification.experiment import Experiment, Quantity
+from imolo.identification.joint_angles import MarkerFit
+from imolo.identification.parameters import Parameter
+from imolo.identification.robot_log_checks import read_logs
+from imolo.identification.robot_logs import ActuatorLog, QuantityName, RobotLog, repeatable
+from imolo.identification.solve import solve
+from imolo.identification.study_config import StudyConfig
+from imolo.messaging.log import LOG_SUFFIX
+
+SENSOR_SHARE = 0.02  # of a channel's range
+
+
+class StageConfig(Model):
+    """Some parameters that are fitted before all are.
+
+    Attributes:
+        parameters: Their paths, or patterns of paths such as `simulation.actuators.*`.
+        quantities: What is compared.
+        without_engine: Whether the actuators alone are played, their joints led as the markers show them.
+    """
+
+    parameters: Annotated[tuple[str, ...], Field(min_length=1)]
+    quantities: Annotated[tuple[QuantityName, ...], Field(min_length=1)] = ("sensors",)
+    without_engine: bool = False
+
+
+class RobotLogStudy(StudyConfig):
+    """A robot's settings, fitted in each engine to logs of `imolo learn`, `compare` or of the robot itself.
+
+    Attributes:
+        data: Folder with the logs, looked through to its depth, or one log.
+        config: Of the robot, as a config's file; the backend is that of `engines`.
+        quantities: What is compared: the effector that learns, all other markers, the actuators' sensors.
+        duration: How long after the onset [s]; until the effector can no longer meet a ball if not given.
+        marker_scale: An error of this size counts one in the loss [m].
+        sensor_scale: Likewise, in the unit of the channels; 2 % of their range if not given.
+        stages: What is fitted first, in this order; each begins where the one before ended.
+    """
+
+    kind: Literal["robot_logs"]
+    data: Path
+    config: dict[str, Any] = Field({})
+    quantities: Annotated[tuple[QuantityName, ...], Field(min_length=1)] = ("effector", "markers", "sensors")
+    duration: Positive | None = None
+    marker_scale: Positive = 0.01
+    sensor_scale: Positive | None = None
+    stages: tuple[StageConfig, ...] = (StageConfig(parameters=("simulation.actuators.*",), without_engine=True),)
+
+    def experiment(self, folder: Path) -> Experiment:
+        """Read and check the logs; paths are relative to a folder."""
+        configs = {
+            backend.name: repeatable(make_config({**self.config, "backend": backend.model_dump()}, "config"))
+            for backend in self.backends()
+        }
+        first = next(iter(configs.values()))
+        logs, findings = read_logs(self._paths(folder / self.data), first, self.duration, self.quantities)
+        digest = hashlib.sha256("".join(log.digest for log in logs).encode()).hexdigest()[:16]
+        return Experiment(logs, self._quantities(self.quantities, first), findings, configs, "squared", digest)
+
+    def prepared(
+        self, bench: Bench, engine: str, parameters: list[Parameter], training: Sequence[int]
+    ) -> list[Parameter]:
+        """Return the parameters with starts found stage by stage.
+
+        They are starts alone, no priors: the last fit sees the same recordings again.
+        """
+        config = bench.experiment.configs[engine]
+        for number, stage in enumerate(self.stages, start=1):
+            chosen = [one for one in parameters if any(fnmatch.fnmatch(one.path, p) for p in stage.parameters)]
+            if not chosen:
+                continue
+            start = {one.path: one.start for one in parameters if one not in chosen}
+            stage_bench = self._bench(bench, stage, config)
+            fit = solve(
+                stage_bench, engine, chosen, training, self.evaluations, self.seed, f"stage {number}", fixed=start
+            )
+            parameters = [replace(one, start=fit.settings.get(one.path, one.start)) for one in parameters]
+        return parameters
+
+    def _bench(self, bench: Bench, stage: StageConfig, config: ExperimentConfig) -> Bench:
+        whole = bench.experiment
+        recordings: list[Any] = list(whole.recordings)
+        if stage.without_engine:
+            if stage.quantities != ("sensors",):
+                raise ConfigError("a stage without_engine compares sensors alone; give quantities: [sensors]")
+            recordings = self._actuators_alone(recordings, config)
+        quantities = self._quantities(stage.quantities, config)
+        digest = f"{whole.digest} {stage.model_dump_json()}"
+        experiment = Experiment(recordings, quantities, (), whole.configs, whole.loss, digest)
+        return Bench(experiment, bench.folder, bench.jobs, bench.parallel, bench.progress)
+
+    def _actuators_alone(self, logs: Sequence[RobotLog], config: ExperimentConfig) -> list[ActuatorLog]:
+        fit = MarkerFit(body_of(config.robot))
+        return [ActuatorLog(log, *log.joint_paths(fit)) for log in logs]
+
+    def _quantities(self, names: Sequence[QuantityName], config: ExperimentConfig) -> tuple[Quantity, ...]:
+        channels = config.simulation.actuators.channels
+        scale = self.sensor_scale or SENSOR_SHARE * max(channel.high - channel.low for channel in channels)
+        unit, factor = ("kPa", 1e-3) if channels[0].unit == "Pa" else (channels[0].unit, 1.0)
+        known = {
+            "effector": Quantity("effector", "mm", 1e3, self.marker_scale),
+            "markers": Quantity("markers", "mm", 1e3, self.marker_scale),
+            "sensors": Quantity("sensors", unit, factor, scale),
+        }
+        return tuple(known[name] for name in names)
+
+    def _paths(self, data: Path) -> list[tuple[str, Path]]:
+        if data.is_file():
+            return [(data.stem, data)]
+        found = sorted(path for path in data.rglob(f"*{LOG_SUFFIX}*") if path.is_file())
+        if not found:
+            raise TrainingDataError(
+                f"{data} holds no {LOG_SUFFIX}; give the folder of `imolo learn` or of a robot's logs"
+            )
+        return [(str(path.relative_to(data)).replace(LOG_SUFFIX, ""), path) for path in found]
