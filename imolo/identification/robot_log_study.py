@@ -5,20 +5,19 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of, make_config
 from imolo.config.model import Model, Positive
-from imolo.errors import ConfigError, TrainingDataError
+from imolo.errors import TrainingDataError
 from imolo.identification.evaluation import Bench
 from imolo.identification.experiment import Experiment, Quantity
-from imolo.identification.joint_angles import MarkerFit
 from imolo.identification.parameters import Parameter
 from imolo.identification.robot_log_checks import read_logs
-from imolo.identification.robot_logs import ActuatorLog, QuantityName, RobotLog, repeatable
+from imolo.identification.robot_logs import QuantityName, actuators_alone, repeatable
 from imolo.identification.solve import solve
 from imolo.identification.study_config import StudyConfig
 from imolo.messaging.log import LOG_SUFFIX
@@ -38,6 +37,16 @@ class StageConfig(Model):
     parameters: Annotated[tuple[str, ...], Field(min_length=1)]
     quantities: Annotated[tuple[QuantityName, ...], Field(min_length=1)] = ("sensors",)
     without_engine: bool = False
+
+    @model_validator(mode="after")
+    def _actuators_have_sensors_alone(self) -> Self:
+        if self.without_engine and self.quantities != ("sensors",):
+            raise ValueError("a stage without_engine compares sensors alone; give quantities: [sensors]")
+        return self
+
+    def chooses(self, path: str) -> bool:
+        """Return whether a parameter is among those of the stage."""
+        return any(fnmatch.fnmatchcase(path, pattern) for pattern in self.parameters)
 
 
 class RobotLogStudy(StudyConfig):
@@ -62,6 +71,15 @@ class RobotLogStudy(StudyConfig):
     sensor_scale: Positive | None = None
     stages: tuple[StageConfig, ...] = (StageConfig(parameters=("simulation.actuators.*",), without_engine=True),)
 
+    @model_validator(mode="after")
+    def _stages_are_of_this_study(self) -> Self:
+        for stage in self.stages if "stages" in self.model_fields_set else ():
+            if not any(stage.chooses(path) for path in self.parameters):
+                raise ValueError(f"the stage {', '.join(stage.parameters)} has none of the parameters; name one")
+            if not set(stage.quantities) <= set(self.quantities):
+                raise ValueError(f"a stage compares {', '.join(stage.quantities)}, the study does not; add it there")
+        return self
+
     def experiment(self, folder: Path) -> Experiment:
         """Read and check the logs; paths are relative to a folder."""
         configs = {
@@ -82,8 +100,9 @@ class RobotLogStudy(StudyConfig):
         """
         config = bench.experiment.configs[engine]
         for number, stage in enumerate(self.stages, start=1):
-            chosen = [one for one in parameters if any(fnmatch.fnmatch(one.path, p) for p in stage.parameters)]
-            if not chosen:
+            chosen = [one for one in parameters if stage.chooses(one.path)]
+            led = all(getattr(log, "markers", None) for log in bench.experiment.recordings)
+            if not chosen or not set(stage.quantities) <= set(self.quantities) or (stage.without_engine and not led):
                 continue
             start = {one.path: one.start for one in parameters if one not in chosen}
             stage_bench = self._bench(bench, stage, config)
@@ -97,17 +116,11 @@ class RobotLogStudy(StudyConfig):
         whole = bench.experiment
         recordings: list[Any] = list(whole.recordings)
         if stage.without_engine:
-            if stage.quantities != ("sensors",):
-                raise ConfigError("a stage without_engine compares sensors alone; give quantities: [sensors]")
-            recordings = self._actuators_alone(recordings, config)
+            recordings = [actuators_alone(log, body_of(config.robot)) for log in recordings]
         quantities = self._quantities(stage.quantities, config)
         digest = f"{whole.digest} {stage.model_dump_json()}"
         experiment = Experiment(recordings, quantities, (), whole.configs, whole.loss, digest)
         return Bench(experiment, bench.folder, bench.jobs, bench.parallel, bench.progress)
-
-    def _actuators_alone(self, logs: Sequence[RobotLog], config: ExperimentConfig) -> list[ActuatorLog]:
-        fit = MarkerFit(body_of(config.robot))
-        return [ActuatorLog(log, *log.joint_paths(fit)) for log in logs]
 
     def _quantities(self, names: Sequence[QuantityName], config: ExperimentConfig) -> tuple[Quantity, ...]:
         channels = config.simulation.actuators.channels

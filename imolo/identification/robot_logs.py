@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from imolo.campaigns.motion_recorder import NO_CHANCE
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of
+from imolo.contracts.robot import Body
 from imolo.contracts.trial import EventName
 from imolo.errors import DivergenceError, MessageError, TrainingDataError
 from imolo.identification.experiment import Errors
@@ -136,6 +137,12 @@ class ActuatorLog:
             actuators.target[:] = targets[index]
             actuators.step(angle[index], velocity[index])
         return {"sensors": _at(log.sensor_time, time, measured) - log.measured}
+
+
+@lru_cache(maxsize=256)
+def actuators_alone(log: RobotLog, body: Body) -> ActuatorLog:
+    """Return the actuators of a motion, their joints as the markers show them."""
+    return ActuatorLog(log, *log.joint_paths(MarkerFit(body)))
 
 
 def _targets(commands: Commands, time: Array, rest: list[float], released: list[float]) -> Array:

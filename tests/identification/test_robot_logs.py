@@ -24,7 +24,7 @@ from imolo.identification.experiment import sizes
 from imolo.identification.joint_angles import MarkerFit
 from imolo.identification.parameters import apply
 from imolo.identification.robot_log_checks import read_logs, usable_motion
-from imolo.identification.robot_logs import ActuatorLog, repeatable
+from imolo.identification.robot_logs import actuators_alone, repeatable
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.trials.recordings import last_plan
@@ -54,7 +54,7 @@ def test_the_robot_that_was_recorded_repeats_its_motion(log: Log) -> None:
 
 def test_the_actuators_alone_repeat_their_pressures_when_the_joints_are_led_as_seen(log: Log) -> None:
     motion = usable(log)
-    led = ActuatorLog(motion, *motion.joint_paths(MarkerFit(body_of(PLAIN.robot))))
+    led = actuators_alone(motion, body_of(PLAIN.robot))
     # The noise of one recording in eight channels, and what a spline through 120 frames per second leaves out.
     assert sizes(led.play(PLAIN))["sensors"] < 1e3 * np.sqrt(8) * 1.5
 
