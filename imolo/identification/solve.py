@@ -181,11 +181,17 @@ def _gauss_newton(search: Search, start: Array, budget: int) -> None:
             for units, outcome in zip(many, outcomes, strict=True)
         ]
 
-    units, here = start, vectors([start])[0]
-    for _ in range(max(1, (budget - spent) // (len(start) + len(DAMPING)))):
-        steps = np.where(units < 0.5, SLOPE_STEP, -SLOPE_STEP)
-        beside = vectors([units + step * row for row, step in zip(np.eye(len(units)), steps, strict=True)])
-        slopes = np.stack([(there - here) / step for there, step in zip(beside, steps, strict=True)], axis=1)
+    units, here, wide = start, vectors([start])[0], False
+    while True:
+        widths = np.full(len(units), PROBE if wide else SLOPE_STEP)
+        if search.count + (1 + wide) * len(units) + len(DAMPING) > budget and search.count > spent + 1:
+            return
+        ahead = np.where(units < 0.5, widths, -widths)
+        places = [units + step * row for row, step in zip(np.eye(len(units)), ahead, strict=True)]
+        behind = [np.clip(2.0 * units - place, 0.0, 1.0) for place in places] if wide else [units] * len(units)
+        played = vectors([*places, *behind]) if wide else [*vectors(places), *[here] * len(units)]
+        pairs = zip(places, behind, played, played[len(units) :], strict=False)
+        slopes = np.stack([(there - back) / float((far - near).sum()) for far, near, there, back in pairs], axis=1)
         gradient = slopes.T @ here
         # What the loss pushes against a bound stays there in this step.
         free = ~(((units <= 0.0) & (gradient > 0.0)) | ((units >= 1.0) & (gradient < 0.0)))
@@ -203,7 +209,9 @@ def _gauss_newton(search: Search, start: Array, budget: int) -> None:
         if gain > 0.0:
             units, here = places[best], tried[best]
         if gain < SETTLED or moved < STILL:
-            return
+            if wide:
+                return
+            wide = True  # what is left may be the jitter of contacts, which wide differences see less of
 
 
 def _residual(outcome: Outcome, sizes: Sequence[int]) -> Array:
@@ -224,11 +232,13 @@ class Local:
         gradient: Of each recording's loss by each parameter, shape (R, n), on the scale of the search.
         hessian: Of the mean loss, shape (n, n).
         swing: Change of the mean loss from one probe to the other, relative to it, shape (n,).
+        floor: Curvature, relative to the largest one, below which it is noise of the differences.
     """
 
     gradient: Array
     hessian: Array
     swing: Array
+    floor: float = 1e-3
 
 
 def explore(
@@ -278,7 +288,8 @@ def explore(
             hessian[i, j] = hessian[j, i] = (corner - up[i] - up[j] + middle).mean() / PROBE**2
     gradient = ((up - down) / (2.0 * PROBE)).T
     swing = np.maximum(np.abs(up - middle), np.abs(down - middle)).mean(axis=1) / max(float(middle.mean()), 1e-12)
-    return Local(gradient, hessian, swing)
+    # Products of first differences are exact to rounding, second differences are not.
+    return Local(gradient, hessian, swing, 1e-9 if squared else Local.floor)
 
 
 def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Local | None, recordings: int) -> Fit:
@@ -291,7 +302,7 @@ def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Loca
     prior = np.diag([_prior_curvature(one, recordings) for one in parameters])
     hessian = local.hessian + prior
     values, vectors = np.linalg.eigh(hessian)
-    known = values > 1e-3 * max(float(values.max()), 1e-12)
+    known = values > local.floor * max(float(values.max()), 1e-12)
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
     spread = np.atleast_2d(np.cov(local.gradient.T)) / recordings
     covariance = inverse @ (spread + prior / recordings) @ inverse
