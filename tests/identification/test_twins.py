@@ -28,7 +28,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Twin, Path]:
 
 def test_hidden_settings_are_found_again_from_a_few_noisy_motions(twin: tuple[Twin, Path]) -> None:
     found, _ = twin
-    # Of three motions one may be near a slip of a foot, so that only 40 are held to what is asked.
+    # The worst motion is five times as far off as the mean of 40, so that three cannot be held to what is asked.
     assert found.before > 2.0 * ASKED
     assert found.after < 0.2 * found.before
     assert all(one.identified for one in found.settings.values())
