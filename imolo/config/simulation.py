@@ -8,14 +8,16 @@ from typing import Annotated, Self
 from pydantic import Field, SerializeAsAny, model_validator
 
 from imolo.config.disturbance import DisturbanceConfig
-from imolo.config.model import Fraction, Model, NonNegative, Positive, Vector
+from imolo.config.model import Fraction, Model, NonNegative, Positive, Searched, Vector
 from imolo.contracts.actuators import ActuatorsConfig
 
 
 class ContactConfig(Model):
     """What the contacts are asked to be."""
 
-    friction: NonNegative = Field(0.8, description="Coulomb coefficient [-], assumed: rubber sole on wood")
+    friction: Annotated[NonNegative, Searched(0.2, 1.5)] = Field(
+        0.8, description="Coulomb coefficient [-], assumed: rubber sole on wood"
+    )
     restitution: Fraction = Field(0.3, description="of the ball [-], assumed: soft polyurethane foam")
     robot_restitution: Fraction = Field(0.0, description="of the robot on floor and boxes [-], assumed: none")
 
@@ -34,6 +36,11 @@ class MocapConfig(Model):
 
     rate: Positive = Field(120.0, description="frames per second [Hz], Sec. VII-A")
     latency: NonNegative = Field(0.005, description="exposure to delivery [s], assumed: typical of the camera family")
+    clock_offset: Annotated[float, Searched(-0.02, 0.02, "linear")] = Field(
+        0.0,
+        description="of the stamps, late where positive [s]; can be fitted to logs",
+        exclude_if=lambda late: not late,
+    )
     marker_noise: NonNegative = Field(0.0003, description="sd of a robot marker, each axis [m], assumed")
     ball_noise: NonNegative = Field(
         0.001, description="sd of the ball, each axis [m], assumed: seals on a 90 mm sphere, not a marker"

@@ -32,7 +32,7 @@ Progress = Callable[[str, int, int], object]
 
 logger = logging.getLogger(__name__)
 
-FAILED = 1e3  # loss of a recording that could not be played; far above any other, and finite for the search
+FAILED = 1e9  # loss of a recording that could not be played; far above any square, and finite for the search
 CHUNK = 8  # recordings a process plays in one go
 
 
@@ -265,8 +265,9 @@ def _play(chunk: _Chunk) -> Outcome:
                 vectors.append(np.empty(0))
                 continue
             loss.append(value)
-            for name, mean in sizes(errors).items():
-                size[name].append(mean)
+            mean = sizes(errors)
+            for name, values in size.items():
+                values.append(mean[name])
             if experiment.loss == "squared":
                 vectors.append(residuals(errors, experiment.quantities))
     sized = {name: np.array(values) for name, values in size.items()}

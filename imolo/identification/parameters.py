@@ -6,13 +6,13 @@ and 1.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError, model_validator
+from pydantic import BaseModel, ValidationError, model_validator
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.links import link_as_it_is
@@ -109,16 +109,28 @@ def from_units(parameters: Sequence[Parameter], units: Array) -> dict[str, float
 
 
 def declared(config: Any) -> dict[str, Searched]:
-    """Return the options of a config's backend that declare a search range, by path; entries of lists one by one."""
-    found = {}
-    for name, field in type(backend_options(config)).model_fields.items():
-        kinds = (field, *(kind for kind in get_args(field.annotation)))
-        for index, kind in enumerate(kinds):
-            metadata = field.metadata if kind is field else getattr(kind, "__metadata__", ())
-            for mark in metadata:
-                if isinstance(mark, Searched):
-                    found[f"{BACKEND}{name}" + ("" if kind is field else f".{index - 1}")] = mark
-    return found
+    """Return the settings that declare a search range, by path; entries of lists one by one."""
+    return {**dict(_marks(backend_options(config), BACKEND)), **dict(_marks(config.simulation, "simulation."))}
+
+
+def _marks(model: BaseModel, prefix: str) -> Iterator[tuple[str, Searched]]:
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from _marks(value, f"{prefix}{name}.")
+            continue
+        # A subclass that gives a setting another default keeps the range.
+        kinds = [kind for kind in type(model).__mro__ if issubclass(kind, BaseModel) and name in kind.model_fields]
+        fields = [kind.model_fields[name] for kind in kinds]
+        whole = next((mark for field in fields for mark in field.metadata if isinstance(mark, Searched)), None)
+        entries = get_args(fields[0].annotation)
+        for index in range(len(value)) if isinstance(value, tuple) else ():
+            own = getattr(entries[index], "__metadata__", ()) if index < len(entries) else ()
+            mark = next((mark for mark in own if isinstance(mark, Searched)), whole)
+            if mark is not None:
+                yield f"{prefix}{name}.{index}", mark
+        if whole is not None and not isinstance(value, tuple):
+            yield f"{prefix}{name}", whole
 
 
 def resolve(config: Any, path: str, said: ParameterConfig, options: Mapping[str, Searched]) -> Parameter:
@@ -205,7 +217,8 @@ def _content(config: Any, paths: Iterable[str]) -> dict[str, Any]:
     """Return a config with all options of its backend, and the links that paths lead to as the model says they are."""
     content: dict[str, Any] = config.model_dump(mode="json")
     content["backend"].update(backend_options(config).model_dump(mode="json"))
-    if isinstance(config, ExperimentConfig):
+    if isinstance(config, ExperimentConfig):  # whose dump leaves out what most never set
+        content["simulation"]["mocap"]["clock_offset"] = config.simulation.mocap.clock_offset
         links = content["robot"].setdefault("links", {})
         unchanged = body_of(config.robot.model_copy(update={"links": {}})).urdf
         for name in {path.removeprefix(LINKS).split(".")[0] for path in paths if path.startswith(LINKS)}:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from imolo.errors import IdentificationError
 from imolo.identification.evaluation import FAILED, Bench, Outcome
@@ -16,6 +16,11 @@ Array = NDArray[np.float64]
 
 FINE_ENOUGH = 0.01  # of the range: closer than any interval here
 FIRST_STEP = 0.2  # of the range: standard deviation of CMA-ES's first generation
+SLOPE_STEP = 0.02  # of the range: finite differences of Gauss-Newton, wide against steps of time
+DAMPING = (1e-7, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the mean curvature
+SETTLED = 5e-3  # relative gain in the loss below which Gauss-Newton ends
+STILL = 1e-3  # of the range: largest move below which it ends as well
+TINY = 1e-12
 PROBE = 0.05  # of the range: half the distance of finite differences, wide against the jitter of contacts
 QUANTILE = 1.645  # of the normal distribution, two-sided 90 %
 FLAT = 1e-3  # relative change of the loss over a probe below which a parameter says nothing
@@ -53,8 +58,10 @@ class Search:
         indices: Sequence[int],
         budget: int,
         label: str,
+        fixed: Settings,
     ) -> None:
-        """Prepare a search over the training recordings `indices`."""
+        """Prepare a search over the training recordings `indices`, under other settings that are fixed."""
+        self._fixed = fixed
         self._budget = budget
         self._bench = bench
         self._engine = engine
@@ -66,7 +73,10 @@ class Search:
 
     def losses(self, many: Sequence[Array]) -> list[float]:
         """Return the loss at each of several places between the bounds, shape (n,) each."""
-        outcomes = self.outcomes(many)
+        return self.judged(many, self.outcomes(many))
+
+    def judged(self, many: Sequence[Array], outcomes: Sequence[Outcome]) -> list[float]:
+        """Return the loss at places that were played, and keep the best."""
         values = []
         for units, outcome in zip(many, outcomes, strict=True):
             value = outcome.mean + self.surprise(units)
@@ -79,12 +89,16 @@ class Search:
         """Play the training recordings at several places."""
         self.count += len(many)
         settings = [from_units(self.parameters, units) for units in many]
-        return self._bench.play(self._label, self._engine, settings, self._indices, expected=self._budget)
+        return self._bench.play(self._label, self._engine, settings, self._indices, self._fixed, self._budget)
 
     def surprise(self, units: Array) -> float:
         """Return what the priors add to the mean loss."""
+        return float((self.surprises(units) ** 2).sum())
+
+    def surprises(self, units: Array) -> Array:
+        """Return what each prior adds, as a residual beside those of the recordings, shape (n,)."""
         settings = from_units(self.parameters, units)
-        return sum(one.surprise(settings[one.path]) for one in self.parameters) / len(self._indices)
+        return np.sqrt([one.surprise(settings[one.path]) / len(self._indices) for one in self.parameters])
 
 
 def solve(
@@ -95,6 +109,7 @@ def solve(
     budget: int,
     seed: int,
     label: str,
+    fixed: Settings | None = None,
 ) -> Fit:
     """Find the best settings of some parameters.
 
@@ -109,11 +124,12 @@ def solve(
         budget: How many sets of settings may be played.
         seed: Of CMA-ES.
         label: For the progress.
+        fixed: Settings that are not searched and differ from the config's.
 
     Raises:
         IdentificationError: Nothing could be played.
     """
-    search = Search(bench, engine, parameters, indices, budget, label)
+    search = Search(bench, engine, parameters, indices, budget, label, fixed or {})
     start = search.best[1]
     if search.losses([start])[0] >= FAILED:
         problem = search.outcomes([start])[0].problem
@@ -154,27 +170,59 @@ def _cma(search: Search, start: Array, budget: int, seed: int) -> None:
 
 
 def _gauss_newton(search: Search, start: Array, budget: int) -> None:
-    def vector(outcome: Outcome) -> Array:
-        return np.asarray(np.concatenate(list(outcome.residual)) / np.sqrt(len(outcome.loss)))
+    """Levenberg and Marquardt's search, which tries several dampings at once, since cores wait for work."""
+    sizes = [len(vector) for vector in search.outcomes([start])[0].residual]
+    spent = search.count
 
-    def at(units: Array) -> Array:
-        search.losses([units])
-        return vector(search.outcomes([units])[0])
+    def vectors(many: Sequence[Array]) -> list[Array]:
+        outcomes = search.outcomes(many)
+        search.judged(many, outcomes)
+        return [
+            np.concatenate((_residual(outcome, sizes), search.surprises(units)))
+            for units, outcome in zip(many, outcomes, strict=True)
+        ]
 
-    def slopes(units: Array) -> Array:
-        places, spans = [], []
-        for index in range(len(units)):
-            low, high = units.copy(), units.copy()
-            low[index], high[index] = max(units[index] - PROBE, 0.0), min(units[index] + PROBE, 1.0)
-            places += [low, high]
-            spans.append(high[index] - low[index])
-        played = [vector(outcome) for outcome in search.outcomes(places)]
-        return np.stack(
-            [(high - low) / span for low, high, span in zip(played[::2], played[1::2], spans, strict=True)], axis=1
-        )
+    units, here, wide = start, vectors([start])[0], False
+    while True:
+        widths = np.full(len(units), PROBE if wide else SLOPE_STEP)
+        if search.count + (1 + wide) * len(units) + len(DAMPING) > budget and search.count > spent + 1:
+            return
+        ahead = np.where(units < 0.5, widths, -widths)
+        places = [units + step * row for row, step in zip(np.eye(len(units)), ahead, strict=True)]
+        behind = [np.clip(2.0 * units - place, 0.0, 1.0) for place in places] if wide else [units] * len(units)
+        played = vectors([*places, *behind]) if wide else [*vectors(places), *[here] * len(units)]
+        pairs = zip(places, behind, played, played[len(units) :], strict=False)
+        slopes = np.stack([(there - back) / float((far - near).sum()) for far, near, there, back in pairs], axis=1)
+        gradient = slopes.T @ here
+        # What the loss pushes against a bound stays there in this step.
+        free = ~(((units <= 0.0) & (gradient > 0.0)) | ((units >= 1.0) & (gradient < 0.0)))
+        squares = slopes[:, free].T @ slopes[:, free]
+        places = []
+        for damping in DAMPING:
+            move = np.zeros(len(units))
+            stiff = squares + damping * (np.trace(squares) / max(len(squares), 1) + TINY) * np.eye(len(squares))
+            move[free] = np.linalg.solve(stiff, -gradient[free])
+            places.append(np.clip(units + move, 0.0, 1.0))
+        tried = vectors(places)
+        best = min(range(len(tried)), key=lambda index: float(tried[index] @ tried[index]))
+        gain = 1.0 - float(tried[best] @ tried[best]) / max(float(here @ here), TINY)
+        moved = float(np.abs(places[best] - units).max())
+        if gain > 0.0:
+            units, here = places[best], tried[best]
+        if gain < SETTLED or moved < STILL:
+            if wide:
+                return
+            wide = True  # what is left may be the jitter of contacts, which wide differences see less of
 
-    steps = max(1, budget // (2 * len(start) + 1))
-    least_squares(at, np.clip(start, 1e-3, 1 - 1e-3), slopes, bounds=(0.0, 1.0), max_nfev=steps, xtol=1e-3, ftol=1e-4)
+
+def _residual(outcome: Outcome, sizes: Sequence[int]) -> Array:
+    """Return one vector of all recordings; those that could not be played count as far off."""
+    played = outcome.residual or [np.empty(0)] * len(sizes)
+    parts = [
+        part if len(part) else np.full(size, np.sqrt(FAILED / max(size, 1)))
+        for part, size in zip(played, sizes, strict=True)
+    ]
+    return np.asarray(np.concatenate(parts) / np.sqrt(len(sizes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +235,14 @@ class Local:
         swing: Mean change of the recordings' losses over a probe, relative to the mean loss, shape (n,).
         likeness: How alike the effects of each pair of parameters are, over all recordings and quantities: cosine of
             the angle between them, shape (n, n).
+        floor: Curvature, relative to the largest one, below which it is noise of the differences.
     """
 
     gradient: Array
     hessian: Array
     swing: Array
     likeness: Array
+    floor: float = 1e-3
 
 
 def explore(
@@ -232,20 +282,17 @@ def explore(
         places += [center + unit[i] + unit[j] for i, j in corners]
     played = bench.play(label, engine, [from_units(parameters, place) for place in places], indices, changes)
     loss = np.array([outcome.loss for outcome in played])
-    loss = loss[:, (loss < FAILED).all(axis=0)]
-    if not loss.size:
+    everywhere = np.flatnonzero((loss < FAILED).all(axis=0))
+    if not len(everywhere):
         raise IdentificationError(f"{engine} cannot play any recording under all settings tried by {label}")
+    loss = loss[:, everywhere]
     middle, up, down = loss[0], loss[1 : n + 1], loss[n + 1 : 2 * n + 1]
     hessian = np.zeros((n, n))
     if squared:
-        slopes = np.stack(
-            [
-                (np.concatenate(high.residual) - np.concatenate(low.residual)) / (2.0 * PROBE)
-                for high, low in zip(played[1 : n + 1], played[n + 1 : 2 * n + 1], strict=True)
-            ],
-            axis=1,
-        )
-        hessian = 2.0 * slopes.T @ slopes / len(indices)
+        vectors = [np.concatenate([outcome.residual[index] for index in everywhere.tolist()]) for outcome in played]
+        probes = np.array(vectors[1 : 2 * n + 1])
+        slopes = (probes[:n] - probes[n:]).T / (2.0 * PROBE)
+        hessian = 2.0 * slopes.T @ slopes / len(everywhere)
     else:
         for i in range(n):
             hessian[i, i] = (up[i] + down[i] - 2.0 * middle).mean() / PROBE**2
@@ -254,7 +301,8 @@ def explore(
     gradient = ((up - down) / (2.0 * PROBE)).T
     swing = np.maximum(np.abs(up - middle), np.abs(down - middle)).mean(axis=1) / max(float(middle.mean()), 1e-12)
     likeness = _correlation(hessian) if squared else _likeness(played, bench.experiment.quantities, n)
-    return Local(gradient, hessian, swing, likeness)
+    # Products of first differences are exact to rounding, second differences are not.
+    return Local(gradient, hessian, swing, likeness, 1e-9 if squared else Local.floor)
 
 
 def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Local | None, recordings: int) -> Fit:
@@ -267,7 +315,7 @@ def judged(fit: Fit, parameters: Sequence[Parameter], local: Local, halved: Loca
     prior = np.diag([_prior_curvature(one, recordings) for one in parameters])
     hessian = local.hessian + prior
     values, vectors = np.linalg.eigh(hessian)
-    known = values > 1e-3 * max(float(values.max()), 1e-12)
+    known = values > local.floor * max(float(values.max()), 1e-12)
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
     spread = np.atleast_2d(np.cov(local.gradient.T)) / recordings
     covariance = inverse @ (spread + prior / recordings) @ inverse

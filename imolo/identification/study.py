@@ -17,7 +17,7 @@ from imolo.identification.evaluation import FAILED, Bench, Outcome, Progress
 from imolo.identification.judge import Spread, choose, paired, split, spread
 from imolo.identification.parameters import Parameter, Settings, patch
 from imolo.identification.solve import FLAT, Fit, explore, interval, judged, solve
-from imolo.identification.study_file import StudyConfig
+from imolo.identification.study_config import StudyConfig
 
 logger = logging.getLogger(__name__)
 
@@ -258,7 +258,7 @@ def _fit_engine(
     for name, parameters in ((SIMPLEST, simplest), (FULL, full)):
         if parameters and (name == SIMPLEST or len(full) > len(simplest)):
             before = bench.evaluations, bench.seconds
-            fits[name] = (_fit(study, bench, engine, parameters, training, name), parameters)
+            fits[name] = (fit_parameters(study, bench, engine, parameters, training, name), parameters)
             costs[name] = bench.evaluations - before[0], bench.seconds - before[1]
     outcomes = {
         name: bench.play(f"judging {name}", engine, [fit.settings], held_out)[0] for name, (fit, _) in fits.items()
@@ -319,9 +319,11 @@ def _check(bench: Bench, engine: str, parameters: list[Parameter], training: lis
     return tuple(found)
 
 
-def _fit(
+def fit_parameters(
     study: StudyConfig, bench: Bench, engine: str, parameters: list[Parameter], training: list[int], name: str
 ) -> Fit:
+    """Return the best settings of some parameters in one engine, and what is to be said of them."""
+    parameters = study.prepared(bench, engine, parameters, training)
     fit = solve(bench, engine, parameters, training, study.evaluations, study.seed, f"fitting {name}")
     local = explore(bench, engine, parameters, fit.settings, training, f"slopes of {name}")
     timestep = bench.experiment.configs[engine].simulation.timestep

@@ -168,7 +168,7 @@ def test_an_engine_that_cannot_play_does_not_stop_the_others(study: Callable[...
         ({"engines": [{"name": "mujoco", "cone": "round"}]}, ConfigError, "cone"),
         ({"parameters": {"simulation.contact.frictio": {"range": [0, 1]}}}, ConfigError, "did you mean 'friction'"),
         ({"parameters": {"backend.impratioo": {"range": [1, 2]}}}, ConfigError, "did you mean 'impratio'"),
-        ({"parameters": {FRICTION: {}}}, ConfigError, "has no range"),
+        ({"parameters": {"simulation.contact.restitution": {}}}, ConfigError, "has no range"),
         ({"parameters": {FRICTION: {"range": [0.05, 0.5]}}}, ConfigError, "starts at 0.8, outside its range"),
         ({"simplest": ["simulation.gravity"]}, ConfigError, "simplest names 'simulation.gravity'"),
         ({"training": 16}, IdentificationError, "make 16 to fit and 2 to judge"),

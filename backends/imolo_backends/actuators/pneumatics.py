@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from imolo.config.disturbance import DisturbanceConfig
 from imolo.config.experiment import ExperimentConfig
-from imolo.config.model import Fraction, Model, NonNegative, Positive
+from imolo.config.model import Fraction, Model, NonNegative, Positive, Searched
 from imolo.config.simulation import SimulationConfig
 from imolo.conformance import Check
 from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
@@ -81,14 +81,26 @@ class AirConfig(ActuatorsConfig):
     supply_pressure: Positive = Field(description="pressure of the filled tanks [Pa]")
     tank_volume: Positive = Field(description="of all tanks together [m³]")
     tube_diameter: Positive = Field(0.004, description="inner diameter of the tubes [m]")
-    tube_length: Positive = Field(0.5, description="valve to chamber [m]")
+    tube_length: Annotated[Positive, Searched(0.15, 1.5)] = Field(0.5, description="valve to chamber [m]")
     critical_ratio: Fraction = Field(0.3, description="b of ISO 6358 for valves and tubes [-], assumed: typical")
-    supply_conductance: Positive = Field(description="sonic conductance of a valve from tank to tube [m³/(s·Pa)]")
-    exhaust_conductance: Positive = Field(description="sonic conductance of a valve to the air [m³/(s·Pa)]")
-    full_opening_error: Positive = Field(0.3e5, description="pressure error that opens a valve fully [Pa], assumed")
-    valve_time_constant: Positive = Field(0.015, description="first-order lag of the opening [s], assumed")
-    valve_dead_time: NonNegative = Field(0.010, description="delay of the command [s], assumed")
-    dead_volume: Positive = Field(15e-6, description="of a chamber at the end of its stroke [m³], assumed")
+    supply_conductance: Annotated[Positive, Searched(2e-09, 6e-08)] = Field(
+        description="sonic conductance of a valve from tank to tube [m³/(s·Pa)]"
+    )
+    exhaust_conductance: Annotated[Positive, Searched(5e-09, 3e-07)] = Field(
+        description="sonic conductance of a valve to the air [m³/(s·Pa)]"
+    )
+    full_opening_error: Annotated[Positive, Searched(5000, 100000)] = Field(
+        0.3e5, description="pressure error that opens a valve fully [Pa], assumed"
+    )
+    valve_time_constant: Annotated[Positive, Searched(0.002, 0.05)] = Field(
+        0.015, description="first-order lag of the opening [s], assumed"
+    )
+    valve_dead_time: Annotated[NonNegative, Searched(0.001, 0.03)] = Field(
+        0.010, description="delay of the command [s], assumed"
+    )
+    dead_volume: Annotated[Positive, Searched(3e-06, 8e-05)] = Field(
+        15e-6, description="of a chamber at the end of its stroke [m³], assumed"
+    )
     manifold_volume: Positive = Field(4e-6, description="behind each valve [m³], assumed")
     heat_in: Positive = Field(1.4, description="exponent of gas flowing in [-], Richer & Hurmuzlu 2000: adiabatic")
     heat_out: Positive = Field(1.0, description="exponent of gas flowing out [-], Richer & Hurmuzlu 2000: isothermal")
@@ -96,7 +108,7 @@ class AirConfig(ActuatorsConfig):
     temperature: Positive = Field(293.15, description="of the gas [K], assumed: room")
     friction_smoothing: Positive = Field(0.5, description="speed over which dry friction builds up [rad/s], numerical")
     laminar_ratio: Fraction = Field(0.995, description="pressure ratio above which flow is linear [-], numerical")
-    rest_pressure: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
+    rest_pressure: Annotated[tuple[NonNegative, ...], Field(min_length=1), Searched(0.0, 1e5, "linear")] = Field(
         description="of each valve before the onset [Pa]"
     )
     valve_names: tuple[str, ...] = Field((), description="what each valve does, for people")

@@ -30,6 +30,7 @@ class Mocap:
         self._link = np.array([body.link_of(marker) for marker in body.markers])
         self._offset = np.array([marker.offset for marker in body.markers])
         self._frame_number = 0
+        self._late = round(config.clock_offset * 1e6)
         self._waiting: deque[tuple[int, bytes]] = deque()
 
     def expose(self, utime: int, state: EngineState) -> None:
@@ -52,7 +53,7 @@ class Mocap:
         place[count + 1] = state.link_position[0] + GHOST_DISTANCE * (2.0 * chance[2 * count + 3 :] - 1.0)
         seen[:count] = chance[:count] >= config.marker_dropout
         seen[count:] = ball_chance >= config.ball_dropout, ghost_chance < config.ghost
-        frame = pack_frame(utime, self._frame_number, markers[seen])
+        frame = pack_frame(utime + self._late, self._frame_number, markers[seen])
         self._waiting.append((utime + round(config.latency * 1e6), frame))
 
     def deliver(self, utime: int) -> list[bytes]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from imolo.config.model import NonNegative, Positive
+from imolo.config.model import NonNegative, Positive, Searched
 from imolo_backends.actuators.pneumatics import AirConfig, Cylinder
 
 VALVES = (
@@ -52,10 +52,10 @@ class LiberobotAir(AirConfig):
         0.015, description="first-order lag of the opening [s], assumed: see conductances"
     )
     valve_dead_time: NonNegative = Field(0.010, description="delay of the command [s], assumed: see conductances")
-    leg_coulomb_friction: NonNegative = Field(1.2, description="[N·m], assumed")
-    leg_viscous_friction: NonNegative = Field(0.10, description="[N·m·s], assumed")
-    arm_coulomb_friction: NonNegative = Field(0.12, description="[N·m], assumed")
-    arm_viscous_friction: NonNegative = Field(0.01, description="[N·m·s], assumed")
+    leg_coulomb_friction: Annotated[NonNegative, Searched(0.1, 4)] = Field(1.2, description="[N·m], assumed")
+    leg_viscous_friction: Annotated[NonNegative, Searched(0.01, 0.5)] = Field(0.10, description="[N·m·s], assumed")
+    arm_coulomb_friction: Annotated[NonNegative, Searched(0.01, 0.6)] = Field(0.12, description="[N·m], assumed")
+    arm_viscous_friction: Annotated[NonNegative, Searched(0.001, 0.06)] = Field(0.01, description="[N·m·s], assumed")
     rest_pressure: EightPressures = Field(
         (0.0,) * 7 + (0.05e6,), description="valves 1..8 before the onset [Pa], assumed: valve 8 holds the crouch"
     )
