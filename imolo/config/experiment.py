@@ -15,7 +15,7 @@ from imolo.errors import ConfigError
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.planner import PlannerConfig
-from imolo.method.table import TableGrid
+from imolo.method.table_grid import TableGrid
 
 # A name becomes that of a folder.
 MethodName = Annotated[str, Field(pattern=r"^\w[\w .+-]{0,62}$")]

@@ -18,7 +18,7 @@ from scipy.stats import ttest_rel
 from imolo.campaigns.motion_recorder import Recording, Window
 from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardModelConfig
 from imolo.method.motion import MotionTemplate, Theta
-from imolo.method.table import TableGrid
+from imolo.method.table_grid import TableGrid
 from imolo.trials.metrics import Statistic
 
 Array = NDArray[np.float64]

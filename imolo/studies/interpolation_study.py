@@ -15,7 +15,7 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.errors import ConfigError
 from imolo.method.motion import MotionTemplate, Theta
 from imolo.method.regressors import quiet_fits
-from imolo.method.table import TableGrid
+from imolo.method.table_grid import TableGrid
 from imolo.studies.interpolation import (
     Answer,
     Interpolation,

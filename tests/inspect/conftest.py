@@ -8,7 +8,7 @@ from imolo.config.loading import config_for
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.planner import Planner
-from imolo.method.table import GridAxis, TableGrid
+from imolo.method.table_grid import GridAxis, TableGrid
 from imolo.trials.learning import build_table, learn_ball, learn_motions
 from imolo.trials.trial import run_trial
 

@@ -7,7 +7,7 @@ from imolo.campaigns.campaign import learning_tasks, run_tasks
 from imolo.config.experiment import ExperimentConfig
 from imolo.contracts.trial import TrialKind
 from imolo.method.forward_model import ForwardModelConfig
-from imolo.method.table import GridAxis, TableGrid
+from imolo.method.table_grid import GridAxis, TableGrid
 from imolo.trials.learning import build_table, learn_ball, learn_motions
 
 COARSE = """

@@ -7,7 +7,8 @@ from liberobot import MOTION, TRAINING_MOTIONS
 from numpy.typing import NDArray
 
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig
-from imolo.method.table import GridAxis, LookupTable, TableGrid
+from imolo.method.table import LookupTable
+from imolo.method.table_grid import GridAxis, TableGrid
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from imolo.method.forward_model import GPR, PAPER_SVR, ForwardModel, ForwardMode
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.prior import MOST_SAMPLES, fit_forward_model, load_prior
 from imolo.method.regressors import fit_quietly, make_regressor
-from imolo.method.table import GridAxis, LookupTable, TableGrid
+from imolo.method.table import LookupTable
+from imolo.method.table_grid import GridAxis, TableGrid
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from rough_tables import ROUGH, SHARP, TABLE, rough_table
 from imolo.errors import ConfigError, NotTrainedError
 from imolo.method.forward_model import PAPER_SVR, ForwardModel
 from imolo.method.motion import PhasedMotion, Theta, motion_rows
-from imolo.method.table import Executed, GridAxis, LookupTable, TableGrid
+from imolo.method.table import Executed, LookupTable
+from imolo.method.table_grid import GridAxis, TableGrid
 from imolo.method.table_kernel import keeps_executed_part
 
 Array = NDArray[np.float64]

@@ -21,7 +21,8 @@ from imolo.messaging.log import Log, read_log
 from imolo.method.commands import Commands
 from imolo.method.forward_model import ForwardModelConfig
 from imolo.method.planner import Planner, PlannerConfig
-from imolo.method.table import GridAxis, LookupTable, TableGrid
+from imolo.method.table import LookupTable
+from imolo.method.table_grid import GridAxis, TableGrid
 from imolo.trials.learning import build_table, learn_ball, learn_motions
 from imolo.trials.metrics import judge_trial
 from imolo.trials.trial import SLICE
