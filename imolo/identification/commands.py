@@ -29,7 +29,8 @@ def identify(
     from imolo.campaigns.results import ResultsFolder
     from imolo.config.experiment import ParallelConfig
     from imolo.identification import facts_report, report
-    from imolo.identification.facts_study import FactsStudy, fit_to_facts
+    from imolo.identification.facts_fit import fit_to_facts
+    from imolo.identification.facts_study import FactsStudy
     from imolo.identification.study import identify as fit_to_recordings
     from imolo.identification.study_file import load_study
 
@@ -42,16 +43,20 @@ def identify(
     elif there := len(list(evaluations.glob("*.*"))):
         say(f"{there} evaluations are in {out} already and will not be done again")
     parallel = ParallelConfig() if scheduler is None else ParallelConfig(backend="dask", address=scheduler)
-    with ProgressBars(lambda: f"the evaluations so far are kept in {out}") as bars:
-        if isinstance(chosen, FactsStudy):
-            facts = fit_to_facts(chosen, study, folder, jobs, parallel, bars.show)
-        else:
-            result = fit_to_recordings(chosen, study, folder, jobs, parallel, bars.show)
+    bars = ProgressBars(lambda: f"the evaluations so far are kept in {out}")
     if isinstance(chosen, FactsStudy):
-        console.print(facts_report.render(facts))
-        folder.save_figure("facts.png", facts_report.figure(facts))
-        say(f"results are in {out}; best.yaml and ensemble.yaml hold what to put into a config")
+        with bars:
+            facts = fit_to_facts(chosen, study, folder, jobs, parallel, bars.show)
+        tables, figure, files = (
+            facts_report.render(facts),
+            facts_report.figure(facts),
+            "best.yaml and ensemble.yaml hold",
+        )
     else:
-        console.print(report.render(result))
-        folder.save_figure("identification.png", report.figure(result))
-        say(f"results are in {out}; patches/ENGINE.yaml holds what to put into a config")
+        with bars:
+            fits = fit_to_recordings(chosen, study, folder, jobs, parallel, bars.show)
+        tables, figure = report.render(fits), report.figure(fits)
+        files = "patches/ENGINE.yaml holds"
+    console.print(tables)
+    folder.save_figure("identification.png", figure)
+    say(f"results are in {out}; {files} what to put into a config")

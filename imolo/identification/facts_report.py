@@ -13,6 +13,7 @@ from imolo.identification.facts_study import FactFound, FactsResult
 
 FACT_COLUMNS = ("fact", "published", "as it is", "best", "ensemble", "missed by", "source")
 SETTING_COLUMNS = ("setting", "as it is", "best", "ensemble", "searched")
+SETTINGS_TITLE = "What the facts leave open"
 FACTS_NOTE = (
     "missed by: of the best set, in tolerances; ensemble: lowest and highest of the sets that meet the facts as well"
 )
@@ -53,7 +54,7 @@ def render(result: FactsResult) -> RenderableType:
     parts: list[RenderableType] = []
     for title, columns, rows in (
         (result.title, FACT_COLUMNS, fact_rows(result)),
-        ("What the facts leave open", SETTING_COLUMNS, setting_rows(result)),
+        (SETTINGS_TITLE, SETTING_COLUMNS, setting_rows(result)),
     ):
         table = Table(title=escape(title), **TABLE_STYLE)
         for name in columns:
@@ -61,12 +62,15 @@ def render(result: FactsResult) -> RenderableType:
         for row in rows:
             table.add_row(*map(escape, row))
         parts.append(table)
-    parts.append(FACTS_NOTE)
-    parts.append(
+    return Group(*parts, FACTS_NOTE, summary(result))
+
+
+def summary(result: FactsResult) -> str:
+    """Return how many robots were played and how near the best one comes."""
+    return (
         f"{result.evaluations} robots in {result.backend}; squared misses {result.start_loss:.1f} as it is, "
         f"{result.best_loss:.2f} at best; {len(result.members)} sets in the ensemble"
     )
-    return Group(*parts)
 
 
 def figure(result: FactsResult) -> Figure:

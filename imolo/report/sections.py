@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation
+from imolo.identification import facts_report
 from imolo.identification import report as identification_report
+from imolo.identification.facts_study import FactsResult
 from imolo.identification.report import (
     CHECK_COLUMNS,
     DATA_COLUMNS,
@@ -211,6 +213,16 @@ def identification_tables(path: Path) -> Context:
     return {"note": " ".join([f"{result.title}.", identification_report.FITS_NOTE, *problems(result)]), "grids": grids}
 
 
+def facts_tables(path: Path) -> Context:
+    """Return how a robot meets published facts, and what they leave open."""
+    result = parse(FactsResult, read_text(path), path)
+    grids = [
+        Grid("Facts", facts_report.FACT_COLUMNS, facts_report.fact_rows(result)),
+        Grid(facts_report.SETTINGS_TITLE, facts_report.SETTING_COLUMNS, facts_report.setting_rows(result)),
+    ]
+    return {"note": f"{result.title}. {facts_report.FACTS_NOTE}. {facts_report.summary(result)}", "grids": grids}
+
+
 SECTIONS = (
     Section("ball.json", "Ball models", ball_tables, figures=("ball.png",)),
     Section("attribution.json", "Why the engines differ", attribution_tables, figures=("figures/waterfall.png",)),
@@ -227,5 +239,6 @@ SECTIONS = (
         identification_tables,
         figures=("figures/identification.png",),
     ),
+    Section("facts.json", "Held against published facts", facts_tables, figures=("figures/identification.png",)),
     Section("trials.json", "How many trials it takes", trials_tables, figures=("figures/trials.png",)),
 )

@@ -12,9 +12,10 @@ from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import ExperimentConfig, ParallelConfig
 from imolo.config.loading import config_for
 from imolo.errors import ConfigError
-from imolo.identification import facts_study
+from imolo.identification import facts_fit
 from imolo.identification.facts import ONSET, Measured, Motion, measure
-from imolo.identification.facts_study import FactConfig, FactsStudy, fit_to_facts
+from imolo.identification.facts_fit import fit_to_facts
+from imolo.identification.facts_study import FactConfig, FactsStudy
 from imolo.identification.study_file import load_study
 from imolo.method.motion import Theta
 from imolo.trials.rollout import Rollout
@@ -113,7 +114,7 @@ def _friction_is_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     def speed(config: ExperimentConfig, *_: object) -> Measured:
         return Measured({"speed": config.simulation.contact.friction}, np.array([1.0, 0.0, 1.5]))
 
-    monkeypatch.setattr(facts_study, "measure", speed)
+    monkeypatch.setattr(facts_fit, "measure", speed)
     monkeypatch.setattr(Motion, "play", lambda _: None)
 
 
@@ -132,7 +133,7 @@ def test_search_meets_a_fact_spreads_over_what_it_leaves_open_and_plays_nothing_
     def nothing(*_: object) -> Measured:
         raise AssertionError("it was played already")
 
-    monkeypatch.setattr(facts_study, "measure", nothing)
+    monkeypatch.setattr(facts_fit, "measure", nothing)
     assert fit_to_facts(study(), tmp_path / "study.yaml", folder, 1, ParallelConfig()) == found
 
 
@@ -148,15 +149,20 @@ def test_held_out_fact_does_not_pull(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_friction_is_speed")
-def test_robot_that_cannot_be_played_does_not_end_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robot_that_cannot_be_played_does_not_end_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     def brittle(config: ExperimentConfig, *_: object) -> Measured:
         if config.simulation.contact.friction > 0.9:
             raise ConfigError("it falls apart")
         return Measured({"speed": config.simulation.contact.friction}, np.array([1.0, 0.0, 1.5]))
 
-    monkeypatch.setattr(facts_study, "measure", brittle)
+    monkeypatch.setattr(facts_fit, "measure", brittle)
     found = fit_to_facts(study(), tmp_path / "s.yaml", ResultsFolder(tmp_path), 1, ParallelConfig())
     assert 0.0 < found.best_loss < found.start_loss
+    assert [record.message for record in caplog.records] == [
+        "it falls apart; the search goes on without this robot and others like it"
+    ]
 
 
 def test_the_papers_study_can_be_read_and_names_what_is_measured() -> None:
