@@ -21,7 +21,7 @@ from imolo.identification.free_body_checks import check_tosses, start_from_fligh
 from imolo.identification.robot_log_study import RobotLogStudy
 from imolo.identification.study_config import StudyConfig
 
-LEAST = "it needs at least kind, data, body and parameters"
+LEAST = "it needs at least kind and parameters"
 
 
 class FreeBodyStudy(StudyConfig):
