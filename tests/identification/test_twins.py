@@ -1,11 +1,10 @@
 """A robot whose settings are hidden is found again from the logs of its training motions."""
 
-from itertools import permutations
 from pathlib import Path
 
 import pytest
 
-from benchmarks.twins import ENGINES, HIDDEN, Twin, fit_twin
+from benchmarks.twins import Twin, fit_twin
 from imolo.config.experiment import ParallelConfig
 from imolo.identification.evaluation import Bench
 from imolo.identification.parameters import ParameterConfig
@@ -56,10 +55,9 @@ def test_the_actuators_alone_bring_their_settings_near_without_an_engine(twin: t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("truth", "fitted"), list(permutations(ENGINES, 2)))
-def test_robot_of_one_engine_is_found_in_another(truth: str, fitted: str, tmp_path: Path) -> None:
-    found = fit_twin(truth, fitted, 1, tmp_path, HIDDEN)
-    assert found.after < ASKED < found.before
-    known = [one for one in found.settings.values() if one.identified]
-    assert len(known) >= 5
-    assert sum(one.covered for one in found.settings.values()) >= 0.8 * len(HIDDEN)
+def test_robot_of_one_engine_is_found_in_another(tmp_path: Path) -> None:
+    """What all pairs of engines reach takes hours: `python -m benchmarks.twins`, docs/identify-a-robot.md."""
+    found = fit_twin("mujoco", "pybullet", 1, tmp_path, FEW, motions=6, unseen=6, evaluations=40, jobs=1)
+    assert found.before > 2.0 * ASKED
+    assert found.after < 0.2 * found.before
+    assert all(one.identified for one in found.settings.values())
