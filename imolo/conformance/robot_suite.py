@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 REST = 0.6  # [s] that a robot is left alone
 SETTLED = 0.5  # [s] after which it stands still
-STILL_SPEED = 0.05  # [rad/s] of a joint that stands still: what friction smoothing and solvers leave
+STILL_SPEED = 0.05  # [rad/s, m/s] of a joint that stands still: what friction smoothing and solvers leave
 STILL_WAY = 1e-3  # [m] of an effector in the last tenth of a second
 HELD = 5.0  # [s] of actuators whose joints are held: until pressures have settled
 ASYMMETRY = 0.02  # [-] what iterative solvers leave of their order of the two sides, over the way of the hand
@@ -111,9 +111,9 @@ class _Probe:
         low, high = self.body.joint_limits.T
         ready = np.array(self.body.ready)
         beyond = np.maximum(np.maximum(low - ready, ready - high), 0.0)
-        joint = self.body.joint_names[int(beyond.argmax())]
-        what = f"ready pose beyond the farthest joint's limit ({joint})"
-        yield Measurement(what, "rad", 0.0, float(beyond.max()), 1e-9, "rounding")
+        joint = self.body.joints[int(beyond.argmax())]
+        what = f"ready pose beyond the farthest joint's limit ({joint.name})"
+        yield Measurement(what, joint.unit, 0.0, float(beyond.max()), 1e-9, "rounding")
         wrong = [c.name for c in self._channels if not (c.low <= c.rest <= c.high and c.low <= c.released <= c.high)]
         model = self.body.model
         bare = [one.name for one in self.body.effectors if not model.links[one.link].collisions]
@@ -142,9 +142,11 @@ class _Probe:
         truth = self._trial(Bystander(), REST).messages[channels.TRUTH_ROBOT]
         late = [message for message in truth if message.utime >= SETTLED * 1e6]
         speeds = np.abs([message.joint_velocity for message in late])
-        joint = self.body.joint_names[int(speeds.max(axis=0).argmax())]
+        joint = self.body.joints[int(speeds.max(axis=0).argmax())]
         basis = "at rest; what solvers and smoothed friction leave"
-        yield Measurement(f"fastest joint ({joint})", "rad/s", 0.0, float(speeds.max()), STILL_SPEED, basis)
+        yield Measurement(
+            f"fastest joint ({joint.name})", f"{joint.unit}/s", 0.0, float(speeds.max()), STILL_SPEED, basis
+        )
         hands = np.array([message.effector_position for message in late])
         way = float(np.linalg.norm(hands - hands[0], axis=-1).max())
         yield Measurement("way of the farthest effector in 0.1 s", "m", 0.0, way, STILL_WAY, basis)
@@ -161,14 +163,15 @@ class _Probe:
                 acting.step(ready, still)
             expected = settings.settled_torque(target, ready)
             off = acting.joint_torque - expected
-            joint = int(np.abs(off).argmax())
-            what = f"torque of {self.body.joint_names[joint]} under {name}"
+            worst = int(np.abs(off).argmax())
+            joint = self.body.joints[worst]
+            what = f"{'torque' if joint.unit == 'rad' else 'force'} of {joint.name} under {name}"
             scale = float(np.abs(expected).max())
             yield Measurement(
                 what,
-                "N·m",
-                float(expected[joint]),
-                float(acting.joint_torque[joint]),
+                joint.effort_unit,
+                float(expected[worst]),
+                float(acting.joint_torque[worst]),
                 0.01 * scale + 1e-3,
                 "1 %, settled",
             )

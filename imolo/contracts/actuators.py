@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from imolo.config.disturbance import DisturbanceConfig
 from imolo.config.model import Model
 from imolo.conformance import Check
+from imolo.contracts.urdf import Joint
 
 Array = NDArray[np.float64]
 
@@ -73,11 +74,11 @@ class ActuatorsConfig(Model):
         """Standard deviation of the channels' sensors, in their unit."""
         raise NotImplementedError
 
-    def check_joints(self, joint_names: Sequence[str]) -> None:
+    def check_joints(self, joints: Sequence[Joint]) -> None:
         """Raise `ConfigError` where the settings do not fit the joints of a robot, in their order."""
 
     def settled_torque(self, target: Array, joint_angle: Array) -> Array:
-        """Return what the joint torques settle to under constant targets, the joints held [N·m], shape (J,).
+        """Return what the joint torques settle to under constant targets, the joints held [N·m or N], shape (J,).
 
         The closed form that `imolo check --robot` compares the actuators with.
 

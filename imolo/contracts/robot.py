@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imolo.contracts.engine import Ball, BoxShape, Scene
-from imolo.contracts.urdf import RobotModel, read_urdf
+from imolo.contracts.urdf import Joint, RobotModel, read_urdf
 from imolo.errors import BackendError, did_you_mean
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Vector = tuple[float, float, float]
 Pose = tuple[Vector, tuple[float, float, float, float]]
 """Origin of the base link [m] and its rotation as a quaternion w, x, y, z."""
 
-GIVE = 1e-9  # [rad] a ready pose may lie at a limit, but for rounding
+GIVE = 1e-9  # [rad, m] a ready pose may lie at a limit, but for rounding
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,9 @@ class Body:
         for effector in self.effectors:
             for name in (effector.name, *((effector.limb,) if effector.limb else ())):
                 self._check_name("marker of an effector,", name, names)
+        for name in names:
+            if names.count(name) > 1:
+                raise BackendError(f"robot {self.name!r}: two markers are named {name!r}; give each a name of its own")
         if not self.effectors:
             raise BackendError(f"robot {self.name!r} has no effector; name the link that is to meet the ball")
         ids = [marker.marker_id for marker in self.markers]
@@ -149,9 +152,14 @@ class Body:
         return read_urdf(self.urdf)
 
     @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The movable joints in the order of all arrays."""
+        return tuple(self.model.joints[name] for name in self.joint_names)
+
+    @cached_property
     def joint_limits(self) -> Array:
-        """Lowest and highest angle of each joint [rad], shape (J, 2); infinite where it turns without end."""
-        limits = [self.model.joints[name].limits or (-np.inf, np.inf) for name in self.joint_names]
+        """Lowest and highest position of each joint [rad or m], shape (J, 2); infinite where it turns without end."""
+        limits = [joint.limits or (-np.inf, np.inf) for joint in self.joints]
         array = np.array(limits, dtype=np.float64).reshape(-1, 2)
         array.flags.writeable = False
         return array
@@ -209,12 +217,11 @@ class Body:
         if offset.shape != (len(self.joint_names),):
             raise BackendError(f"joint_offset has shape {offset.shape}; expected ({len(self.joint_names)},)")
         angle = np.array(self.ready) + offset
-        for name, value, (low, high) in zip(self.joint_names, angle.tolist(), self.joint_limits.tolist(), strict=True):
+        for joint, value, (low, high) in zip(self.joints, angle.tolist(), self.joint_limits.tolist(), strict=True):
             if not low - GIVE <= value <= high + GIVE:
-                degrees = np.degrees([value, low, high])
                 raise BackendError(
-                    f"{name} cannot start at {degrees[0]:.3f}°; its range is "
-                    f"{degrees[1]:.0f}..{degrees[2]:.0f}°; a pose at the end of the range is offset inwards"
+                    f"{joint.name} cannot start at {_shown(joint, value)}; its range is {_shown(joint, low)} to "
+                    f"{_shown(joint, high)}; a pose at the end of the range is offset inwards"
                 )
         position, quaternion = self.base(angle) if callable(self.base) else self.base
         return Scene(
@@ -295,3 +302,7 @@ class Robot:
     body: "Callable[[RobotConfig], Body]"
     ingredients: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     published: tuple[Published, ...] = ()
+
+
+def _shown(joint: Joint, position: float) -> str:
+    return f"{np.degrees(position):.3f}°" if joint.unit == "rad" else f"{position:.4f} m"

@@ -115,6 +115,16 @@ class Joint:
     damping: float = 0.0
     friction: float = 0.0
 
+    @property
+    def unit(self) -> str:
+        """Unit of its position: rad, or m where it slides."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of what its motor gives: N·m, or N where it slides."""
+        return "N" if self.kind == "prismatic" else "N·m"
+
 
 @dataclass(frozen=True)
 class RobotModel:

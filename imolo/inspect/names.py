@@ -9,14 +9,14 @@ from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogReader
 from imolo_msgs import robot_t
 
-# By field: which of its indices has a name, the names in robot_t, and the units there.
+# By field: which of its indices has a name, the names in robot_t, the units there, and what follows them.
 NAMED = {
-    ("ACTUATOR_COMMAND", "target"): (1, "channel_name", "channel_unit"),
-    ("ACTUATOR_STATE", "measured"): (0, "channel_name", "channel_unit"),
-    ("PLAN", "theta"): (0, "parameter_name", "parameter_unit"),
-    ("TRUTH_ROBOT", "joint_angle"): (0, "joint_name", ""),
-    ("TRUTH_ROBOT", "joint_velocity"): (0, "joint_name", ""),
-    ("TRUTH_ROBOT", "effector_position"): (0, "effector_name", ""),
+    ("ACTUATOR_COMMAND", "target"): (1, "channel_name", "channel_unit", ""),
+    ("ACTUATOR_STATE", "measured"): (0, "channel_name", "channel_unit", ""),
+    ("PLAN", "theta"): (0, "parameter_name", "parameter_unit", ""),
+    ("TRUTH_ROBOT", "joint_angle"): (0, "joint_name", "joint_unit", ""),
+    ("TRUTH_ROBOT", "joint_velocity"): (0, "joint_name", "joint_unit", "/s"),
+    ("TRUTH_ROBOT", "effector_position"): (0, "effector_name", "", ""),
 }
 
 
@@ -56,7 +56,7 @@ class Names:
             field: Name of the array, without the names of what it is nested in.
             index: One number for each dimension of the array, from 0.
         """
-        named, names, _ = NAMED.get((channel, field), (-1, "", ""))
+        named, names, *_ = NAMED.get((channel, field), (-1, "", "", ""))
         known = getattr(self.robot, names, ()) if self.robot is not None else ()
         parts = [
             known[number] if dimension == named and 0 <= number < len(known) else str(number)
@@ -72,13 +72,13 @@ class Names:
             field: Name of the array.
             steps: Indices and slices that select elements of it.
         """
-        named, _, units = NAMED.get((channel, field), (-1, "", ""))
+        named, _, units, suffix = NAMED.get((channel, field), (-1, "", "", ""))
         known = list(getattr(self.robot, units, ())) if self.robot is not None and units else []
         step = steps[named] if 0 <= named < len(steps) else slice(None)
         if isinstance(step, int):
             step = slice(step, step + 1 or None)
         chosen = set(known[step]) if isinstance(step, slice) else set()
-        return chosen.pop() if len(chosen) == 1 else ""
+        return chosen.pop() + suffix if len(chosen) == 1 else ""
 
 
 INDICES = Names()

@@ -104,6 +104,7 @@ def describe_robot(config: ExperimentConfig, utime: int) -> robot_t:
     message.channel_rest = [channel.rest for channel in actuators]
     message.channel_released = [channel.released for channel in actuators]
     message.num_robot_joints, message.joint_name = len(body.joint_names), list(body.joint_names)
+    message.joint_unit = [joint.unit for joint in body.joints]
     message.num_robot_parameters = len(parameters)
     message.parameter_name = [parameter.name for parameter in parameters]
     message.parameter_unit = [parameter.unit for parameter in parameters]

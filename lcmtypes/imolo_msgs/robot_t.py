@@ -10,11 +10,11 @@ import struct
 class robot_t(object):
     """ What the numbers of the other messages mean: names and units, in their order. Said at the start of every trial. """
 
-    __slots__ = ["utime", "robot_name", "task_name", "num_channels", "channel_name", "channel_unit", "channel_low", "channel_high", "channel_rest", "channel_released", "num_robot_joints", "joint_name", "num_robot_parameters", "parameter_name", "parameter_unit", "num_robot_effectors", "effector_name", "effector_label", "num_robot_markers", "marker_label", "marker_name"]
+    __slots__ = ["utime", "robot_name", "task_name", "num_channels", "channel_name", "channel_unit", "channel_low", "channel_high", "channel_rest", "channel_released", "num_robot_joints", "joint_name", "joint_unit", "num_robot_parameters", "parameter_name", "parameter_unit", "num_robot_effectors", "effector_name", "effector_label", "num_robot_markers", "marker_label", "marker_name"]
 
-    __typenames__ = ["int64_t", "string", "string", "int32_t", "string", "string", "double", "double", "double", "double", "int32_t", "string", "int32_t", "string", "string", "int32_t", "string", "int32_t", "int32_t", "int32_t", "string"]
+    __typenames__ = ["int64_t", "string", "string", "int32_t", "string", "string", "double", "double", "double", "double", "int32_t", "string", "string", "int32_t", "string", "string", "int32_t", "string", "int32_t", "int32_t", "int32_t", "string"]
 
-    __dimensions__ = [None, None, None, None, ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], None, ["num_robot_joints"], None, ["num_robot_parameters"], ["num_robot_parameters"], None, ["num_robot_effectors"], ["num_robot_effectors"], None, ["num_robot_markers"], ["num_robot_markers"]]
+    __dimensions__ = [None, None, None, None, ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], ["num_channels"], None, ["num_robot_joints"], ["num_robot_joints"], None, ["num_robot_parameters"], ["num_robot_parameters"], None, ["num_robot_effectors"], ["num_robot_effectors"], None, ["num_robot_markers"], ["num_robot_markers"]]
 
     def __init__(self):
         self.utime = 0
@@ -51,11 +51,13 @@ class robot_t(object):
         """ LCM Type: double[num_channels] """
         self.num_robot_joints = 0
         """
-        Joints of truth_robot_t.
+        Joints of truth_robot_t; the unit of an angle is rad, that of the way of a joint that slides is m.
         LCM Type: int32_t
         """
 
         self.joint_name = []
+        """ LCM Type: string[num_robot_joints] """
+        self.joint_unit = []
         """ LCM Type: string[num_robot_joints] """
         self.num_robot_parameters = 0
         """
@@ -125,6 +127,11 @@ class robot_t(object):
             buf.write(struct.pack('>I', len(__joint_name_encoded)+1))
             buf.write(__joint_name_encoded)
             buf.write(b"\0")
+        for i0 in range(self.num_robot_joints):
+            __joint_unit_encoded = self.joint_unit[i0].encode('utf-8')
+            buf.write(struct.pack('>I', len(__joint_unit_encoded)+1))
+            buf.write(__joint_unit_encoded)
+            buf.write(b"\0")
         buf.write(struct.pack(">i", self.num_robot_parameters))
         for i0 in range(self.num_robot_parameters):
             __parameter_name_encoded = self.parameter_name[i0].encode('utf-8')
@@ -187,6 +194,10 @@ class robot_t(object):
         for i0 in range(self.num_robot_joints):
             __joint_name_len = struct.unpack('>I', buf.read(4))[0]
             self.joint_name.append(buf.read(__joint_name_len)[:-1].decode('utf-8', 'replace'))
+        self.joint_unit = []
+        for i0 in range(self.num_robot_joints):
+            __joint_unit_len = struct.unpack('>I', buf.read(4))[0]
+            self.joint_unit.append(buf.read(__joint_unit_len)[:-1].decode('utf-8', 'replace'))
         self.num_robot_parameters = struct.unpack(">i", buf.read(4))[0]
         self.parameter_name = []
         for i0 in range(self.num_robot_parameters):
@@ -213,7 +224,7 @@ class robot_t(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if robot_t in parents: return 0
-        tmphash = (0x4998f4ffec3211d1) & 0xffffffffffffffff
+        tmphash = (0x25bcabe8bdaaeb4b) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

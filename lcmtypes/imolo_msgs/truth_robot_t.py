@@ -39,13 +39,13 @@ class truth_robot_t(object):
         """ LCM Type: int32_t """
         self.joint_angle = []
         """
-        [rad].
+        Angle, or way of a joint that slides, in the unit that robot_t says.
         LCM Type: double[num_joints]
         """
 
         self.joint_velocity = []
         """
-        [rad/s].
+        The same per second.
         LCM Type: double[num_joints]
         """
 

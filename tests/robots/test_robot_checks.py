@@ -4,6 +4,7 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imolo.config.loading import config_for
@@ -11,6 +12,7 @@ from imolo.conformance import Verdict
 from imolo.conformance.check import Outcome
 from imolo.conformance.robot_suite import RobotSuite, robot_suites
 from imolo.contracts.registry import ROBOTS
+from imolo.contracts.urdf import Joint, JointType
 from imolo.errors import ConfigError, ImoloError
 from imolo.scaffold.files import write_files
 from imolo_backends.actuators.motors import MotorsConfig
@@ -119,8 +121,20 @@ def test_effector_without_a_shape_is_told(wrong: Wrong) -> None:
     assert any("(plate)" in one.measurement.quantity for one in found if one.measurement is not None)
 
 
-def motors(*names: str) -> MotorsConfig:
-    motor = {"stiffness": 1.0, "damping": 1.0, "torque_limit": 1.0, "speed_limit": 1.0, "low": -1.0, "high": 1.0}
+def joint(name: str, kind: JointType = "revolute") -> Joint:
+    return Joint(name, kind, "base", "link", np.zeros(3), np.eye(3), np.array([1.0, 0.0, 0.0]), None)
+
+
+def motors(*names: str, unit: str = "rad") -> MotorsConfig:
+    motor: dict[str, object] = {
+        "unit": unit,
+        "stiffness": 1.0,
+        "damping": 1.0,
+        "torque_limit": 1.0,
+        "speed_limit": 1.0,
+        "low": -1.0,
+        "high": 1.0,
+    }
     return MotorsConfig.model_validate({"motors": [{"name": name, **motor} for name in names]})
 
 
@@ -135,11 +149,19 @@ def motors(*names: str) -> MotorsConfig:
 )
 def test_motors_that_do_not_fit_the_joints_are_refused(names: tuple[str, ...], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        motors(*names).check_joints(("shoulder", "elbow"))
+        motors(*names).check_joints((joint("shoulder"), joint("elbow")))
 
 
 def test_motors_may_bear_names_of_their_own() -> None:
-    motors("A1", "A2").check_joints(("shoulder", "elbow"))
+    motors("A1", "A2").check_joints((joint("shoulder"), joint("elbow")))
+
+
+def test_motor_of_a_joint_that_slides_moves_by_meters() -> None:
+    with pytest.raises(ConfigError, match="motor 'lift': joint 'lift' slides; give it `unit: m`"):
+        motors("lift").check_joints((joint("lift", "prismatic"),))
+    motors("lift", unit="m").check_joints((joint("lift", "prismatic"),))
+    with pytest.raises(ConfigError, match="motor 'turn': joint 'turn' turns; give it `unit: rad`"):
+        motors("turn", unit="m").check_joints((joint("turn"),))
 
 
 def test_two_motors_of_one_name_are_refused() -> None:

@@ -8,6 +8,16 @@ from command_line import Run, is_one_line_about
 from starting_files import blocks, imolo, write_and_install
 
 PAGE = "adding-a-robot.md"
+IMPORTS = """
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imolo.errors import ConfigError
+from imolo.method.commands import Commands
+from imolo.method.motion import MotionTemplate, Parameter
+"""
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +53,31 @@ def test_new_robot_hits_balls(folder: Path) -> None:
     assert compared.returncode == 0, compared.stderr
     summary = (folder / "results" / "summary.json").read_text(encoding="utf-8")
     assert '"robot": "paddle"' in summary
+    assert re.search(r'"improved": \{\s*"hits": [23],', summary), summary
+
+
+def test_motion_of_ones_own_hits_balls(tmp_path: Path) -> None:
+    package = write_and_install(tmp_path, "robot", "paddle") / "paddle"
+    template, settings = blocks(PAGE, "python")[1], blocks(PAGE, "yaml")[2]
+    robot = (package / "robot.py").read_text(encoding="utf-8")
+    head, said, rest = robot.partition("\nROBOT = ")
+    assert said
+    rest = rest.replace("config=MotorExperiment", "config=PaddleExperiment")
+    (package / "robot.py").write_text(f"{head}\n{IMPORTS}\n{template}\n{said}{rest}", encoding="utf-8")
+    defaults = (package / "paddle.yaml").read_text(encoding="utf-8")
+    before = re.search(r"^motion:.*?(?=^methods:)", defaults, re.MULTILINE | re.DOTALL)
+    assert before is not None
+    sampled = "  sampled_from: 0.06\n  sampled_to: 0.24\n"
+    defaults = defaults.replace(before[0], settings + sampled)
+    grid = "        t_w: {start: 0.1,"
+    assert grid in defaults
+    rise = "        rise: {start: 2.2, stop: 2.4, step: 0.1}\n"
+    (package / "paddle.yaml").write_text(defaults.replace(grid, rise + grid), encoding="utf-8")
+    config = f"{blocks(PAGE, 'yaml')[1]}\ncampaign: {{learning_throws: 4, balls: 3}}\n"
+    (tmp_path / "mujoco.yaml").write_text(config, encoding="utf-8")
+    compared = imolo(tmp_path, "paddle", "compare", "mujoco.yaml", "--out", "results", "--jobs", 1)
+    assert compared.returncode == 0, compared.stderr
+    summary = (tmp_path / "results" / "summary.json").read_text(encoding="utf-8")
     assert re.search(r'"improved": \{\s*"hits": [23],', summary), summary
 
 

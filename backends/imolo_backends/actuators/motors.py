@@ -1,7 +1,7 @@
 """Electric actuators: a motor on every joint that is held at its target by a PD law, within its torque limit."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numba import njit
@@ -13,6 +13,7 @@ from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Model, NonNegative, Positive
 from imolo.config.simulation import SimulationConfig
 from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
+from imolo.contracts.urdf import Joint
 from imolo.errors import ConfigError, did_you_mean
 from imolo.method.motion import PhasedMotion
 
@@ -24,6 +25,7 @@ class Motor(Model):
 
     Attributes:
         name: For people; that of its joint is a good one, and if one motor bears a joint's name, all must.
+        unit: Of its target: rad, or m where the joint slides; forces [N] then take the place of torques.
         stiffness: Gain of the position error [N·m/rad].
         damping: Gain of the velocity [N·m·s/rad].
         torque_limit: Most that it gives [N·m].
@@ -34,6 +36,7 @@ class Motor(Model):
     """
 
     name: str
+    unit: Literal["rad", "m"] = "rad"
     stiffness: Positive
     damping: NonNegative
     torque_limit: Positive
@@ -46,7 +49,7 @@ class Motor(Model):
     def _rest_is_in_range(self) -> Self:
         if not self.low <= self.rest <= self.high:
             raise ValueError(
-                f"rest of motor {self.name!r} is {self.rest:g} rad; give {self.low:g} to {self.high:g} rad"
+                f"rest of motor {self.name!r} is {self.rest:g} {self.unit}; give {self.low:g} to {self.high:g}"
             )
         return self
 
@@ -78,9 +81,9 @@ class MotorsConfig(ActuatorsConfig):
                 raise ValueError(f"two motors are named {name!r}; give each a name of its own")
         return self
 
-    def check_joints(self, joint_names: Sequence[str]) -> None:
+    def check_joints(self, joints: Sequence[Joint]) -> None:
         """See `ActuatorsConfig.check_joints`: the order decides, so names must not say otherwise."""
-        names = [motor.name for motor in self.motors]
+        names, joint_names = [motor.name for motor in self.motors], [joint.name for joint in joints]
         if len(names) != len(joint_names):
             raise ConfigError(
                 f"there are {len(names)} motors for {len(joint_names)} joints; give one for each of: "
@@ -92,11 +95,15 @@ class MotorsConfig(ActuatorsConfig):
                     f"motor {name!r} stands where the joint is {joint!r}{did_you_mean(name, joint_names)}; give the "
                     f"motors in the order of the joints: {', '.join(joint_names)}"
                 )
+        for motor, moved in zip(self.motors, joints, strict=True):
+            if motor.unit != moved.unit:
+                way = "slides" if moved.unit == "m" else "turns"
+                raise ConfigError(f"motor {motor.name!r}: joint {moved.name!r} {way}; give it `unit: {moved.unit}`")
 
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The motors; released, they return to rest."""
-        return tuple(Channel(m.name, "rad", m.low, m.high, rest=m.rest, released=m.rest) for m in self.motors)
+        return tuple(Channel(m.name, m.unit, m.low, m.high, rest=m.rest, released=m.rest) for m in self.motors)
 
     @property
     def sensor_noise(self) -> float:

@@ -53,7 +53,7 @@ class SimulatedBackend:
         self._robot = config.robot.name
         self._config = config.simulation
         self._body = body_of(config.robot)
-        self._config.actuators.check_joints(self._body.joint_names)
+        self._config.actuators.check_joints(self._body.joints)
         self._task = create_task(config)
         self._engine_class = engine
         self._options = options
