@@ -23,7 +23,17 @@ from imolo.errors import ImoloError
 from imolo.identification.evaluation import Progress
 from imolo.identification.facts import Measured, Motion, aimed_at, measure, unseen_motions
 from imolo.identification.facts_study import FactFound, FactsResult, FactsStudy, SettingFound
-from imolo.identification.parameters import Parameter, Settings, apply, declared, from_units, patch, resolve, to_units
+from imolo.identification.parameters import (
+    Parameter,
+    Settings,
+    apply,
+    declared,
+    from_units,
+    patch,
+    read_setting,
+    resolve,
+    to_units,
+)
 from imolo.machine.files import read_bounded, write_whole
 from imolo.trials.rollout import Rollout
 
@@ -115,8 +125,7 @@ def fit_to_facts(
     bench = FactsBench(study, config, folder.path / "evaluations", jobs, parallel)
     label = f"{config.backend.name}: robots"
     progress(label, 0, study.evaluations)
-    start = bench.play({one.path: one.start for one in parameters})
-    played = [start]
+    played = [bench.play({one.path: read_setting(config, one.path) for one in parameters})]
     _search(study, parameters, bench, played, lambda: progress(label, len(played), study.evaluations))
     losses = np.array([loss(study, one) for one in played])
     members = _ensemble(study, parameters, played, losses)
@@ -144,10 +153,11 @@ def _search(
 ) -> None:
     import cma
 
-    start = to_units(parameters, played[0].settings)
+    start = np.array([one.to_unit(one.start) for one in parameters])
     options = {"bounds": [0.0, 1.0], "seed": study.seed + 1, "maxfevals": study.evaluations, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(start.tolist(), FIRST_STEP, options)
     failures = 0
+    strategy.inject([start], force=True)
     while not strategy.stop() and len(played) + failures + strategy.popsize <= study.evaluations:
         asked = strategy.ask()
         values = []
@@ -229,7 +239,7 @@ def _result(
         settings.append(
             SettingFound(
                 path=one.path,
-                start=one.start,
+                start=played[0].settings[one.path],
                 best=best.settings[one.path],
                 low=low,
                 high=high,

@@ -171,3 +171,17 @@ def test_the_papers_study_can_be_read_and_names_what_is_measured() -> None:
     values = dict(measured(config_for("mujoco")).values)
     assert all(np.isfinite(fact.value(values)) for fact in chosen.facts.values())
     json.dumps(chosen.model_dump(mode="json"))
+
+
+@pytest.mark.usefixtures("_friction_is_speed")
+def test_search_begins_at_its_start_and_is_held_against_the_robot_as_it_is(tmp_path: Path) -> None:
+    facts = {"made up": {"measures": ["speed"], "at_least": 1.3, "at_most": 1.3, "tolerance": 0.05}}
+    parameters = {
+        "simulation.contact.friction": {"range": [0.2, 1.4], "start": 1.3},
+        "simulation.actuators.tube_length": {"range": [0.1, 2.0], "scale": "log"},
+    }
+    begun = study(facts=facts, parameters=parameters, evaluations=7)
+    found = fit_to_facts(begun, tmp_path / "s.yaml", ResultsFolder(tmp_path), 1, ParallelConfig())
+    assert found.settings[0].start == found.facts[0].start == 0.8
+    assert found.best_loss == pytest.approx(0.0, abs=1e-12)
+    assert found.settings[0].best == pytest.approx(1.3)
