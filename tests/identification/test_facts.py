@@ -180,7 +180,7 @@ def test_search_begins_at_its_start_and_is_held_against_the_robot_as_it_is(tmp_p
         "simulation.contact.friction": {"range": [0.2, 1.4], "start": 1.3},
         "simulation.actuators.tube_length": {"range": [0.1, 2.0], "scale": "log"},
     }
-    begun = study(facts=facts, parameters=parameters, evaluations=7)
+    begun = study(facts=facts, parameters=parameters, evaluations=10)
     found = fit_to_facts(begun, tmp_path / "s.yaml", ResultsFolder(tmp_path), 1, ParallelConfig())
     assert found.settings[0].start == found.facts[0].start == 0.8
     assert found.best_loss == pytest.approx(0.0, abs=1e-12)
