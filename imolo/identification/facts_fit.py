@@ -125,7 +125,9 @@ def fit_to_facts(
     bench = FactsBench(study, config, folder.path / "evaluations", jobs, parallel)
     label = f"{config.backend.name}: robots"
     progress(label, 0, study.evaluations)
-    played = [bench.play({one.path: read_setting(config, one.path) for one in parameters})]
+    as_it_is = {one.path: read_setting(config, one.path) for one in parameters}
+    start = {one.path: one.start for one in parameters}
+    played = [bench.play(settings) for settings in ([as_it_is] if start == as_it_is else [as_it_is, start])]
     _search(study, parameters, bench, played, lambda: progress(label, len(played), study.evaluations))
     losses = np.array([loss(study, one) for one in played])
     members = _ensemble(study, parameters, played, losses)
@@ -157,7 +159,6 @@ def _search(
     options = {"bounds": [0.0, 1.0], "seed": study.seed + 1, "maxfevals": study.evaluations, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(start.tolist(), FIRST_STEP, options)
     failures = 0
-    strategy.inject([start], force=True)
     while not strategy.stop() and len(played) + failures + strategy.popsize <= study.evaluations:
         asked = strategy.ask()
         values = []
