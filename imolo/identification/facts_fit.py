@@ -196,6 +196,8 @@ def _ensemble(
 
 def _patch(study: FactsStudy, config: ExperimentConfig, played: _Played) -> dict[str, Any]:
     settings: dict[str, Any] = patch(played.settings, config)
+    if "methods" in study.config:  # which table was asked for the balls
+        settings["methods"] = study.config["methods"]
     if study.aim_at_reach:
         aimed = aimed_at(config, np.array(played.reach)).simulation.thrower.aim_center
         settings.setdefault("simulation", {}).setdefault("thrower", {})["aim_center"] = list(aimed)
