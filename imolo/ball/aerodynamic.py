@@ -4,9 +4,9 @@
 
 k = ρ c_D A / (2 m) [1/m] is the drag of the ball; ω [1/s] is its spin times a lift coefficient over its mass, so that
 ω × v is the Magnus acceleration (Zhang, Xiong, Zhao and Chen, 2010, for table tennis). Both are unknown in each flight
-and part of the state. What the training flights were like is the prior: of k and ω always, and of the velocity of
-release if the first samples agree with it. g is what all flights have in common: the air carries a light ball and goes
-along with it, and no camera frame is level.
+and part of the state. What the training flights were like is the prior, of the velocity of release with a spread that
+is widened until the first samples agree with it. g is what all flights have in common: the air carries a light ball
+and goes along with it, and no camera frame is level.
 
 What the cameras see is not quite where the ball is: their calibration bends the path, so that neighbouring samples err
 alike. A filter that took such errors for independent would know v, k and ω too well and follow the bend. So the error
@@ -46,7 +46,7 @@ STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
 ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
 _ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope", "bias_std")
-LAUNCH_PROBABILITY = 0.999  # of a release as those before it not to be taken for another kind
+LAUNCH_PROBABILITY = 0.95  # of a release as those before it not to be taken for another kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +136,12 @@ class AerodynamicBallModel:
         return last, covariance, misfit
 
     def _with_launch_prior(self, state: Array, covariance: Array) -> tuple[Array, Array]:
-        """Fuse a start with the velocity of release, unless the two contradict each other."""
+        """Fuse a start with the velocity of release, whose spread is doubled until the two agree."""
         difference = self.prior_mean[:3] - state[3:6]
-        spread = covariance[3:6, 3:6] + np.diag(self.prior_std[:3] ** 2)
-        if difference @ np.linalg.solve(spread, difference) > chi_square_quantile(LAUNCH_PROBABILITY, 3):
-            return state, covariance
-        gain = np.linalg.solve(spread, covariance[3:6]).T
+        prior, most = np.diag(self.prior_std[:3] ** 2), chi_square_quantile(LAUNCH_PROBABILITY, 3)
+        while difference @ np.linalg.solve(covariance[3:6, 3:6] + prior, difference) > most:
+            prior *= 4.0
+        gain = np.linalg.solve(covariance[3:6, 3:6] + prior, covariance[3:6]).T
         return state + gain @ difference, covariance - gain @ covariance[3:6]
 
     def make_filter(self, state: Array, covariance: Array) -> BallFilter:

@@ -27,7 +27,9 @@ VAGUE_DRAG, VAGUE_LIFT = 1.0, 3.0  # standard deviations [1/m], [1/s]
 # foam ball; a frame tilted by 2° has 0.3 m/s² along an axis that should be level.
 VAGUE_GRAVITY = 0.3  # standard deviation [m/s²]
 CONSTANT = 1e-3  # [m/s²] spread of gravity over flights: next to none
-LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 0.01, 0.01, 0.01])  # [m/s], [1/m], [1/s] assumed: no two flights agree
+# No two flights agree (assumed). An ω of 1e-3 /s moves a ball of 7 m/s by 1 mm in half a second, so that balls
+# without spin are followed as by "drag".
+LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 1e-3, 1e-3, 1e-3])  # [m/s], [1/m], [1/s]
 ITERATIONS = 4  # of Gauss-Newton on a whole flight; one more changes nothing that a camera could see
 EM_STEPS = 100  # the means settle within ten
 LEAST_SQUARE = 1e-3  # of normalised residuals: below it one of 30,000 with three axes

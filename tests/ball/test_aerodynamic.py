@@ -277,6 +277,33 @@ def test_launch_prior_is_dropped_where_the_ball_contradicts_it():
     assert misfit < 1.0
 
 
+@pytest.mark.parametrize("wider", [1.0, 3.0, 10.0])
+def test_start_is_honest_about_launches_unlike_those_before(wider):
+    # Six samples leave 0.06 m/s, so that launches scattered by 0.05 m/s are told by prior and samples alike. The mean
+    # of 300 squares is 1 ± 0.08 if the prior is right; at no spread of the launches may the start be twice too sure.
+    rng, tight = np.random.default_rng(24), np.concatenate([np.full(3, 0.05), SPREAD[3:]])
+    model, square = replace(known(), prior_std=tight), []
+    time = np.arange(6) / RATE
+    for _ in range(100):
+        latent = MEAN + tight * np.concatenate([np.full(3, wider), np.ones(4)]) * rng.standard_normal(7)
+        path = fly(np.concatenate([[5.0, 0.0, 1.1], latent[:3]]), time, magnus(latent[3], latent[4:]))
+        state, covariance, _ = model.initial_state(time, path[:, :3] + NOISE * rng.standard_normal((6, 3)))
+        error = state[3:6] - path[-1, 3:]
+        square.append(error @ np.linalg.solve(covariance[3:6, 3:6], error))
+    assert np.mean(square) / 3.0 < (1.0 + 4 * 0.08 if wider == 1.0 else 2.0)
+
+
+def test_ball_without_spin_is_predicted_as_if_it_were_known_to_have_none():
+    # The least spread of the spin, 1e-3 /s, moves a ball of 7 m/s by 1 mm in half a second; errors add in squares.
+    flights, _ = throws(np.random.default_rng(25), 20, spin=False)
+    errors = {}
+    for kind in ("drag", "spin"):
+        model = fit_ball_model(flights[:10], BallModelConfig(kind=kind, acceleration_density=1e-6))
+        ahead = [prediction_errors(model, flight, 0.5)[0] for flight in flights[10:]]
+        errors[kind] = np.mean(np.linalg.norm(np.concatenate(ahead), axis=1))
+    assert errors["spin"] < np.hypot(errors["drag"], 0.001)
+
+
 def test_launch_prior_sharpens_the_first_estimate():
     rng, model = np.random.default_rng(3), known()
     flights, starts = throws(rng, 40)
