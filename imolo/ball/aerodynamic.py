@@ -46,7 +46,7 @@ STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
 ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
 _ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope", "bias_std")
-LAUNCH_PROBABILITY = 0.95  # of a release as those before it not to be taken for another kind
+LAUNCH_PROBABILITY = 0.95  # of a release as those before it not to widen its prior
 
 
 @dataclass(frozen=True, eq=False)
