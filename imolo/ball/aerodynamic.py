@@ -4,9 +4,16 @@
 
 k = ρ c_D A / (2 m) [1/m] is the drag of the ball; ω [1/s] is its spin times a lift coefficient over its mass, so that
 ω × v is the Magnus acceleration (Zhang, Xiong, Zhao and Chen, 2010, for table tennis). Both are unknown in each flight
-and part of the state. What the training flights were like is the prior: of k and ω always, and of the velocity of
-release if the first samples agree with it. g is what all flights have in common: the air carries a light ball and goes
-along with it, and no camera frame is level.
+and part of the state. What the training flights were like is the prior, of the velocity of release with a spread that
+is widened until the first samples agree with it. g is what all flights have in common: the air carries a light ball
+and goes along with it, and no camera frame is level.
+
+What the cameras see is not quite where the ball is: their calibration bends the path, so that neighbouring samples err
+alike. A filter that took such errors for independent would know v, k and ω too well and follow the bend. So the error
+b of the cameras is part of the state too, a first-order Gauss-Markov process (Brown and Hwang's coloured noise), and
+p is the position as they see it, which is what is measured, predicted and hit:
+
+    ṗ = v + ḃ,   ḃ = -b / τ + white noise
 """
 
 import math
@@ -18,7 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from imolo.ball.aerodynamic_kernel import LONGEST_STEP, fly, normal_equations, position_covariances, transition
+from imolo.ball.aerodynamic_kernel import (
+    LONGEST_STEP,
+    fly,
+    normal_equations,
+    position_covariances,
+    seen_transition,
+    transition,
+)
 from imolo.ball.flight import GRAVITY
 from imolo.ball.model import DAMAGED, ON, BallFilter, PredictionError, chi_square_quantile, kalman_filter
 from imolo.config.model import Model, NonNegative, Positive, Vector
@@ -31,8 +45,8 @@ AerodynamicKind = Literal["drag", "spin"]
 STATE_SIZE: dict[AerodynamicKind, int] = {"drag": 7, "spin": 10}
 UNKNOWN_VELOCITY = 30.0  # [m/s] standard deviation without a launch prior, assumed: faster than any throw
 ITERATIONS = 2  # of Gauss-Newton on the first samples; a third changes nothing that a camera could see
-_ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope")
-LAUNCH_PROBABILITY = 0.999  # of a release as those before it not to be taken for another kind
+_ARRAYS = ("measurement_std", "prior_mean", "prior_std", "gravity", "noise_center", "noise_slope", "bias_std")
+LAUNCH_PROBABILITY = 0.95  # of a release as those before it not to widen its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +54,18 @@ class AerodynamicBallModel:
     """The equation of motion above, with noise and priors.
 
     Attributes:
-        kind: "drag" has the state (p, v, k), "spin" (p, v, k, ω).
+        kind: "drag" has the state (p, v, k), "spin" (p, v, k, ω); b follows unless `bias_std` is 0.
         time_step: Step of `predict` [s].
         acceleration_density: Process noise, spectral density of a white acceleration [m²/s³].
-        measurement_std: Standard deviation of a coordinate measured at `noise_center` [m], shape (3,).
-        prior_mean: Of velocity of release [m/s], k [1/m] and ω [1/s], shape (n - 3,).
-        prior_std: Their standard deviations for the next flight, shape (n - 3,).
+        measurement_std: Standard deviation of the white noise of a coordinate at `noise_center` [m], shape (3,).
+        prior_mean: Of velocity of release [m/s], k [1/m] and perhaps ω [1/s], shape (4,) or (7,).
+        prior_std: Their standard deviations for the next flight, of the same shape.
         gravity: What accelerates every flight alike [m/s²], shape (3,).
         noise_center: A position among the flights [m], shape (3,).
-        noise_slope: Change of the logarithm of the noise's variance with the position [1/m], shape (3,).
+        noise_slope: Change of the logarithm of the variances of noise and b with the position [1/m], shape (3,).
         noise_reach: Largest such change that the flights have shown [-].
+        bias_std: Standard deviation of b at `noise_center` [m], shape (3,).
+        bias_time: Its correlation time τ [s].
         errors: Leave-one-out prediction errors; empty for a model that was not fitted.
     """
 
@@ -63,6 +79,8 @@ class AerodynamicBallModel:
     noise_center: Array = field(default_factory=lambda: np.zeros(3))
     noise_slope: Array = field(default_factory=lambda: np.zeros(3))
     noise_reach: float = 0.0
+    bias_std: Array = field(default_factory=lambda: np.zeros(3))
+    bias_time: float = 1.0
     errors: tuple[PredictionError, ...] = ()
 
     def with_density(self, density: float) -> "AerodynamicBallModel":
@@ -71,9 +89,22 @@ class AerodynamicBallModel:
 
     def measurement_covariance(self, position: Array) -> Array:
         """Return the covariance of a position [m], shape (3,), that is measured there [m²], shape (3, 3)."""
+        return np.diag(self.measurement_std**2 * self._noise_at(position))
+
+    def _noise_at(self, position: Array) -> float:
+        """Return the variance of noise and b at a position [m], shape (3,), over that at `noise_center`."""
         change = float(self.noise_slope @ (position - self.noise_center))
-        within = min(max(change, -self.noise_reach), self.noise_reach)
-        return np.diag(self.measurement_std**2 * math.exp(within))
+        return math.exp(min(max(change, -self.noise_reach), self.noise_reach))
+
+    def _transition(self, state: Array, duration: float) -> tuple[Array, Array, Array]:
+        """Return the state `duration` [s] later, its sensitivity to the old one, and the covariance that is new."""
+        bias_variance = self.bias_std**2 * self._noise_at(state[:3])
+        density, gravity = self.acceleration_density, self.gravity
+        # Always with the same kinds of arguments: each other one would be compiled for seconds.
+        later, F, Q = seen_transition(
+            state, float(duration), density, gravity, bias_variance, self.bias_time, LONGEST_STEP
+        )
+        return later, F, Q
 
     def initial_state(self, time: Array, position: Array) -> tuple[Array, Array, float]:
         """Estimate the state at the last of a few samples: maximum a posteriori, by Gauss-Newton.
@@ -90,19 +121,27 @@ class AerodynamicBallModel:
         spread[:3] = UNKNOWN_VELOCITY
         mean = self.prior_mean.copy()
         mean[:3] = 0.0
-        std = np.sqrt(np.diag(self.measurement_covariance(position[-1])))
+        bias_variance = self.bias_std**2 * self._noise_at(position[-1])
+        std = np.sqrt(np.diag(self.measurement_covariance(position[-1])) + bias_variance)
         state, covariance, residuals = most_likely_start(time, position, std, mean, spread, self.gravity)
         misfit = float(np.sum((residuals / std) ** 2))
         state, covariance = self._with_launch_prior(state, covariance)
-        return *self.propagate(state, covariance, float(time[-1] - time[0])), misfit
+        last, F, Q = transition(state, float(time[-1] - time[0]), self.acceleration_density, self.gravity, LONGEST_STEP)
+        covariance = F @ covariance @ F.T + Q
+        if self.bias_std.any():
+            # A few samples tell where the ball is seen; of b they tell nothing.
+            last = np.append(last, np.zeros(3))
+            covariance = np.pad(covariance, (0, 3))
+            covariance[-3:, -3:] = np.diag(bias_variance)
+        return last, covariance, misfit
 
     def _with_launch_prior(self, state: Array, covariance: Array) -> tuple[Array, Array]:
-        """Fuse a start with the velocity of release, unless the two contradict each other."""
+        """Fuse a start with the velocity of release, whose spread is doubled until the two agree."""
         difference = self.prior_mean[:3] - state[3:6]
-        spread = covariance[3:6, 3:6] + np.diag(self.prior_std[:3] ** 2)
-        if difference @ np.linalg.solve(spread, difference) > chi_square_quantile(LAUNCH_PROBABILITY, 3):
-            return state, covariance
-        gain = np.linalg.solve(spread, covariance[3:6]).T
+        prior, most = np.diag(self.prior_std[:3] ** 2), chi_square_quantile(LAUNCH_PROBABILITY, 3)
+        while difference @ np.linalg.solve(covariance[3:6, 3:6] + prior, difference) > most:
+            prior *= 4.0
+        gain = np.linalg.solve(covariance[3:6, 3:6] + prior, covariance[3:6]).T
         return state + gain @ difference, covariance - gain @ covariance[3:6]
 
     def make_filter(self, state: Array, covariance: Array) -> BallFilter:
@@ -123,14 +162,15 @@ class AerodynamicBallModel:
         later, F, Q = self._transition(state, duration)
         return later, F @ covariance @ F.T + Q
 
-    def _transition(self, state: Array, duration: float) -> tuple[Array, Array, Array]:
-        # Always with the same kinds of arguments: each other one would be compiled for four seconds.
-        return transition(state, float(duration), self.acceleration_density, self.gravity, LONGEST_STEP)  # type: ignore[no-any-return]
-
     def predict(self, state: Array, steps: int) -> Array:
         """Return the states 1, 2, ... `steps` time steps later, shape (steps, n)."""
-        path: Array = fly(state, self.time_step, steps, self.gravity)
-        return path
+        size = STATE_SIZE[self.kind]
+        path: Array = fly(state[:size], self.time_step, steps, self.gravity)
+        if len(state) == size:
+            return path
+        fade = np.exp(-self.time_step / self.bias_time * np.arange(1, steps + 1))[:, None]
+        path[:, :3] += (fade - 1.0) * state[size:]
+        return np.hstack([path, fade * state[size:]])
 
     def predict_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
         """Return the covariances that belong to `predict`, shape (steps, n, n)."""
@@ -142,8 +182,10 @@ class AerodynamicBallModel:
 
     def position_covariance(self, state: Array, covariance: Array, steps: int) -> Array:
         """Return the covariances of the positions of `predict` [m²], shape (steps, 3, 3), in a tenth of the time."""
+        bias_variance = self.bias_std**2 * self._noise_at(state[:3])
+        density, gravity = self.acceleration_density, self.gravity
         predicted: Array = position_covariances(
-            state, covariance, self.time_step, steps, self.acceleration_density, self.gravity
+            state, covariance, self.time_step, steps, density, gravity, bias_variance, self.bias_time
         )
         return predicted
 
@@ -223,4 +265,6 @@ class _StoredModel(Model):
     noise_center: Vector
     noise_slope: Vector
     noise_reach: NonNegative
+    bias_std: tuple[NonNegative, NonNegative, NonNegative]
+    bias_time: Positive
     errors: tuple[PredictionError, ...]

@@ -14,6 +14,7 @@ from imolo.ball.aerodynamic import (
     most_likely_start,
 )
 from imolo.ball.aerodynamic_kernel import normal_equations
+from imolo.ball.correlated_noise import CorrelatedNoise
 from imolo.ball.flight import GRAVITY, LEAST_NOISE, Flight
 from imolo.ball.model import BallModelConfig
 
@@ -26,7 +27,9 @@ VAGUE_DRAG, VAGUE_LIFT = 1.0, 3.0  # standard deviations [1/m], [1/s]
 # foam ball; a frame tilted by 2° has 0.3 m/s² along an axis that should be level.
 VAGUE_GRAVITY = 0.3  # standard deviation [m/s²]
 CONSTANT = 1e-3  # [m/s²] spread of gravity over flights: next to none
-LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 0.01, 0.01, 0.01])  # [m/s], [1/m], [1/s] assumed: no two flights agree
+# No two flights agree (assumed). An ω of 1e-3 /s moves a ball of 7 m/s by 1 mm in half a second, so that balls
+# without spin are followed as by "drag".
+LEAST_SPREAD = np.array([0.02, 0.02, 0.02, 1e-3, 1e-3, 1e-3, 1e-3])  # [m/s], [1/m], [1/s]
 ITERATIONS = 4  # of Gauss-Newton on a whole flight; one more changes nothing that a camera could see
 EM_STEPS = 100  # the means settle within ten
 LEAST_SQUARE = 1e-3  # of normalised residuals: below it one of 30,000 with three axes
@@ -77,18 +80,16 @@ class AerodynamicFit:
         self._vague_std = np.array([UNKNOWN_VELOCITY] * 3 + [VAGUE_DRAG] + [VAGUE_LIFT] * 3)[:size]
         self._least = LEAST_SPREAD[:size]
         self._known = {id(flight): (flight, self._linearise(flight)) for flight in flights}
+        self._shares = self._correlate(flights)
 
     def __call__(self, flights: Sequence[Flight]) -> AerodynamicBallModel:
         """Fit noise and priors to some of the flights; the process noise is left at the first candidate.
 
-        The measurement noise is the deviation of whole flights from the equation of motion, whatever its cause: what a
-        tracker's calibration bends does not average out like noise, so it must not be mistaken for less.
+        The measurement noise is the deviation of whole flights from the equation of motion, whatever its cause. What of
+        it is white and what lasts, as where a tracker's calibration bends the path, is told from all flights.
         """
         linearised = [self._known[id(flight)][1] for flight in flights]
-        squares = sum(np.sum(one.residuals**2, axis=0) for one in linearised)
-        # Each axis has given two numbers of every flight to its start.
-        freedom = sum(len(one.residuals) - 2.0 for one in linearised)
-        std = np.maximum(np.sqrt(squares / freedom), LEAST_NOISE)
+        std = _std([one.residuals for one in linearised])
         mean, variance = self._population([one.evidence(std) for one in linearised])
         size = len(self._least)
         noise = _Noise.fit([flight.position for flight in flights], [one.residuals / std for one in linearised])
@@ -96,13 +97,15 @@ class AerodynamicFit:
             kind=self._kind,
             time_step=self._config.time_step,
             acceleration_density=self._config.acceleration_density or self._config.density_grid[0],
-            measurement_std=np.maximum(noise.factor * std, LEAST_NOISE),
+            measurement_std=np.maximum(noise.factor * std * np.sqrt(self._shares.white), LEAST_NOISE),
             prior_mean=mean[:size],
             prior_std=np.maximum(np.sqrt(variance[:size] * _unseen(len(flights))), self._least),
             gravity=mean[size:],
             noise_center=noise.center,
             noise_slope=noise.slope,
             noise_reach=noise.reach,
+            bias_std=noise.factor * std * np.sqrt(self._shares.lasting),
+            bias_time=self._shares.time,
         )
 
     def _linearise(self, flight: Flight) -> _Linearised:
@@ -110,6 +113,16 @@ class AerodynamicFit:
         state, _, _ = most_likely_start(flight.time, flight.position, std, mean, self._vague_std, GRAVITY, ITERATIONS)
         equations = normal_equations(state, flight.time, flight.position, GRAVITY)
         return _Linearised(np.concatenate([state, GRAVITY]), *equations)
+
+    def _correlate(self, flights: Sequence[Flight]) -> CorrelatedNoise:
+        """Return which shares of the variance of a measured position are white and lasting."""
+        residuals = [self._known[id(flight)][1].residuals for flight in flights]
+        std = _std(residuals)
+        unit = [one / std for one in residuals]
+        noise = _Noise.fit([flight.position for flight in flights], unit)
+        even = [one / noise.at(flight.position)[:, None] for one, flight in zip(unit, flights, strict=True)]
+        found = CorrelatedNoise.fit([flight.time for flight in flights], even)
+        return found if found.lasting.any() else CorrelatedNoise(np.ones(3), found.lasting, found.time)
 
     def _population(self, evidence: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
         """Return mean and variance over flights, shape (n,) each, gravity last, by expectation maximisation.
@@ -167,6 +180,18 @@ class _Noise:
             slope=change * direction,
             reach=float(np.abs(change * way).max()),
         )
+
+    def at(self, position: Array) -> Array:
+        """Return the noise at positions [m], shape (N, 3), over that of all samples, shape (N,)."""
+        return np.asarray(self.factor * np.exp(0.5 * (position - self.center) @ self.slope))
+
+
+def _std(residuals: Sequence[Array]) -> Array:
+    """Return the standard deviation of a measured coordinate [m], shape (3,)."""
+    squares = sum(np.sum(one**2, axis=0) for one in residuals)
+    # Each axis has given two numbers of every flight to its start.
+    freedom = sum(len(one) - 2.0 for one in residuals)
+    return np.asarray(np.maximum(np.sqrt(squares / freedom), LEAST_NOISE))
 
 
 def _unseen(count: int) -> float:

@@ -1,6 +1,7 @@
 """Compiled flight of a ball under gravity, quadratic drag and Magnus lift, with its sensitivity to the state.
 
-The state is (p, v, k) or (p, v, k, ω), see `imolo.ball.aerodynamic`; gravity [m/s²], shape (3,), is the model's.
+The state is (p, v, k) or (p, v, k, ω), see `imolo.ball.aerodynamic`; gravity [m/s²], shape (3,), is the model's. Where
+`bias_variance` [m²], shape (3,), is not 0, the error b of the cameras follows, and p is where they see the ball.
 """
 
 import math
@@ -154,21 +155,62 @@ def transition(
 
 
 @njit(cache=True)
+def seen_transition(
+    state: Array,
+    duration: float,
+    density: float,
+    gravity: Array,
+    bias_variance: Array,
+    bias_time: float,
+    longest_step: float,
+) -> tuple[Array, Array, Array]:
+    """Carry a state as the cameras see it over any duration [s]; b fades as exp(-t / bias_time) and is driven anew.
+
+    Returns:
+        State, F and Q as of `transition`, with b where there is one.
+    """
+    if not bias_variance.any():
+        later, sensitivity, noise = transition(state, duration, density, gravity, longest_step)
+        return later, sensitivity, noise
+    size = len(state)
+    n = size - 3
+    fade = math.exp(-abs(duration) / bias_time)
+    later, sensitivity, noise = state.copy(), np.eye(size), np.zeros((size, size))
+    later[:n], sensitivity[:n, :n], noise[:n, :n] = transition(state[:n], duration, density, gravity, longest_step)
+    for axis in range(3):
+        b, driven = n + axis, bias_variance[axis] * (1.0 - fade * fade)
+        later[axis] += (fade - 1.0) * state[b]
+        later[b] = fade * state[b]
+        sensitivity[axis, b], sensitivity[b, b] = fade - 1.0, fade
+        noise[axis, axis] += driven
+        noise[axis, b] = noise[b, axis] = noise[b, b] = driven
+    return later, sensitivity, noise
+
+
+@njit(cache=True)
 def position_covariances(
-    state: Array, covariance: Array, step: float, steps: int, density: float, gravity: Array
+    state: Array,
+    covariance: Array,
+    step: float,
+    steps: int,
+    density: float,
+    gravity: Array,
+    bias_variance: Array,
+    bias_time: float,
 ) -> Array:
     """Return the covariance of the position `step`, 2 `step`, ... later [m²], shape (steps, 3, 3).
 
     One transition every `COVARIANCE_STEP`, linear between. There the variance is less than 1 % too large, because drag
     does not brake the noise within a transition; between, too large by at most COVARIANCE_STEP²/8 times its second
-    derivative, the distance of a chord from a convex curve.
+    derivative, the distance of a chord from a convex curve. The part of b, at most twice `bias_variance`, is concave
+    and may be too small between.
     """
     result = np.empty((steps, 3, 3))
     stride = max(1, int(COVARIANCE_STEP / step))
     before = covariance[:3, :3].copy()
     done = 0
     while done < steps:
-        state, F, Q = transition(state, stride * step, density, gravity, COVARIANCE_STEP)
+        state, F, Q = seen_transition(state, stride * step, density, gravity, bias_variance, bias_time, COVARIANCE_STEP)
         covariance = F @ covariance @ F.T + Q
         for i in range(min(stride, steps - done)):
             share = (i + 1) / stride

@@ -27,8 +27,9 @@ FEWEST_FLIGHTS = 3  # leave-one-out over two flights would fit to one
 def fit_ball_model(flights: Sequence[Flight], config: BallModelConfig | None = None) -> BallModel:
     """Fit a ball model to recorded throws and set structure and process noise by leave-one-out (Sec. V-C).
 
-    Structure and process noise maximise the log-likelihood of the left-out positions `selection_horizon` ahead. The
-    plain error would prefer a filter that trusts the model so much that its gate then loses the real ball.
+    Structure and process noise maximise the log-likelihood of the left-out positions `selection_horizon` ahead, of drag
+    and spin also of those a third and two thirds of it ahead. The plain error would prefer a filter that trusts the
+    model so much that its gate then loses the real ball.
 
     Args:
         flights: About ten throws, at least three.
@@ -52,8 +53,8 @@ def fit_ball_model(flights: Sequence[Flight], config: BallModelConfig | None = N
 
     name, density = choices[0]
     if len(choices) > 1:
-        horizon = _selection_horizon(flights, config)
-        likelihood = {choice: _log_likelihood(left_out(*choice), flights, horizon, config) for choice in choices}
+        horizons = _selection_horizons(flights, config)
+        likelihood = {choice: _log_likelihood(left_out(*choice), flights, horizons, config) for choice in choices}
         name, density = max(choices, key=lambda choice: likelihood[choice])
         if config.kind != "linear":
             density = _vertex(density, {other: likelihood[name, other] for other in densities})
@@ -83,10 +84,12 @@ def _ways_to_fit(flights: Sequence[Flight], config: BallModelConfig) -> dict[str
     return {structure: partial(fit_linear, structure=structure, config=config) for structure in structures}
 
 
-def _selection_horizon(flights: Sequence[Flight], config: BallModelConfig) -> float:
+def _selection_horizons(flights: Sequence[Flight], config: BallModelConfig) -> tuple[float, ...]:
+    """Return the lead times [s] that decide: of the linear model one, since no noise makes it right at several."""
     longest = max(float(np.ptp(flight.time)) for flight in flights)
     fits_in = longest >= config.selection_horizon + config.settling_time
-    return config.selection_horizon if fits_in else 0.5 * longest
+    horizon = config.selection_horizon if fits_in else 0.5 * longest
+    return (horizon,) if config.kind == "linear" else (horizon / 3.0, horizon / 1.5, horizon)
 
 
 def _vertex(best: float, likelihood: Mapping[float, float]) -> float:
@@ -127,11 +130,11 @@ def _check(flights: Sequence[Flight], config: BallModelConfig) -> None:
 
 
 def _log_likelihood(
-    models: Sequence[BallModel], flights: Sequence[Flight], horizon: float, config: BallModelConfig
+    models: Sequence[BallModel], flights: Sequence[Flight], horizons: Sequence[float], config: BallModelConfig
 ) -> float:
-    """Return the log-likelihood of the positions `horizon` ahead, each flight under its own model."""
+    """Return the log-likelihood of the positions at lead times [s], summed, each flight under its own model."""
     total = 0.0
-    for model, flight in zip(models, flights, strict=True):
+    for (model, flight), horizon in product(zip(models, flights, strict=True), horizons):
         error, covariance = prediction_errors(model, flight, horizon, config.settling_time)
         distance = np.einsum("ni,nij,nj->", error, np.linalg.inv(covariance), error)
         total -= 0.5 * float(distance + np.linalg.slogdet(covariance)[1].sum())

@@ -31,7 +31,7 @@ class LinearBallModel:
         time_step: Δt [s].
         acceleration_density: Process noise, spectral density of a white acceleration [m²/s³].
         measurement_std: Standard deviation of a measured coordinate [m], shape (3,).
-        residual_rms: Deviation of the measured throws from the fitted ones per axis: noise and misfit [m], shape (3,).
+        residual_rms: Deviation of the throws from whole fitted ones per axis: noise and misfit [m], shape (3,).
         structure: Structure of the fitted velocity rates.
         errors: Leave-one-out prediction errors; empty for a model that was not fitted.
 
@@ -55,15 +55,9 @@ class LinearBallModel:
     _powers: list[Array] = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        farthest = float(np.abs(np.linalg.eigvals(self.A) - 1.0).max())
-        if not farthest < 0.5:
-            raise TrainingDataError(
-                f"an eigenvalue of the ball model's A is {farthest:.3g} away from 1, too far for one step of a smooth"
-                " motion; fit it again"
-            )
         affine = np.eye(7)
         affine[:6, :6], affine[:6, 6] = self.A, self.B
-        object.__setattr__(self, "_generator", _logarithm(affine) / self.time_step)
+        object.__setattr__(self, "_generator", logarithm(affine) / self.time_step)
 
     def transition(self, duration: float) -> tuple[Array, Array, Array]:
         """Return A, B and the process noise over any duration, to the microsecond.
@@ -226,8 +220,18 @@ def exponential(matrix: Array) -> Array:
     return result
 
 
-def _logarithm(matrix: Array) -> Array:
-    """Return the logarithm of a matrix whose eigenvalues are within one half of 1, by its series."""
+def logarithm(matrix: Array) -> Array:
+    """Return the logarithm of one step of a smooth motion by its series.
+
+    Raises:
+        TrainingDataError: An eigenvalue is not within one half of 1.
+    """
+    farthest = float(np.abs(np.linalg.eigvals(matrix) - 1.0).max())
+    if not farthest < 0.5:
+        raise TrainingDataError(
+            f"an eigenvalue of the ball model's A is {farthest:.3g} away from 1, too far for one step of a smooth"
+            " motion; fit it again"
+        )
     identity = np.eye(len(matrix))
     difference, result = matrix - identity, np.zeros_like(matrix)
     for k in range(60, 0, -1):

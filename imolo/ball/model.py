@@ -26,11 +26,16 @@ class BallModelConfig(Model):
         "auto",
         description="of the linear model: v' = diag(a) v + b, v' = M v + b, or what predicts left-out throws better",
     )
+    estimation: Literal["whole_flights", "one_step"] = Field(
+        "whole_flights",
+        description="of the linear model: least squares of whole flights, or from one sample to the next, with "
+        "velocities differenced over two frames",
+    )
     horizons: tuple[Positive, ...] = Field((0.25, 0.50, 0.75), description="lead times of the report [s], Sec. VII-C")
     selection_horizon: Positive = Field(
         0.50,
-        description="lead time that structure and process noise are chosen at [s]; half the longest flight if none is "
-        "that long",
+        description="lead time that structure and process noise are chosen at [s], if not linear with its thirds; half "
+        "the longest flight if none is that long",
     )
     settling_time: NonNegative = Field(
         0.10, description="observation of a throw before its first rated prediction [s], assumed"
@@ -40,7 +45,8 @@ class BallModelConfig(Model):
         None, description="process noise: spectral density of a white acceleration [m²/s³]; none: from the data"
     )
     density_grid: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
-        (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1, 1.0, 3.0), description="candidates for acceleration_density [m²/s³]"
+        (1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1, 1.0, 3.0),
+        description="candidates for acceleration_density [m²/s³]",
     )
 
 
