@@ -1,5 +1,6 @@
 """MuJoCo as an `Engine`."""
 
+import ctypes
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,12 +13,14 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions, Scene
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
+from imolo_backends.compiled import CFunction
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import base_rotation, joint_index, turned_inertia
 from imolo_backends.engines.mujoco_bounce import bouncing_solref
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
+MJ_STEP = ctypes.cast(ctypes.CDLL(mujoco._functions.__file__).mj_step, ctypes.c_void_p).value or 0
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -80,7 +83,7 @@ class MujocoEngine(EngineAdapter):
         self._ball_force = data.qfrc_applied[ball_dof : ball_dof + 3]
         self._ball_position = data.qpos[ball_angle : ball_angle + 3]
         self._ball_velocity = data.qvel[ball_dof : ball_dof + 3]
-        self._ball_reaction = memoryview(data.qfrc_constraint)[ball_dof : ball_dof + 3]
+        self._ball_reaction = data.qfrc_constraint[ball_dof : ball_dof + 3]
         self._views = isinstance(self._velocity_index, slice)
         if self._views:  # MuJoCo's own memory, so that `motion` costs nothing
             self._motion = (data.qpos[self._angle_index], data.qvel[self._velocity_index], self._ball_velocity)
@@ -113,7 +116,14 @@ class MujocoEngine(EngineAdapter):
         self._applied[self._velocity_index] = joint_torque
         self._ball_force[:] = ball_force
         mujoco.mj_step(self._model, self._data)
-        return any(self._ball_reaction)  # cheaper than a look at the contact list, which always holds the feet
+        return self._ball_reaction.any()  # cheaper than a look at the contact list, which always holds the feet
+
+    def compiled_advance(self) -> tuple[CFunction, Array, Array, Array] | None:
+        """See `EngineAdapter.compiled_step`."""
+        if not self._views:
+            return None
+        function = CFunction(MJ_STEP, (self._model._address, self._data._address))
+        return function, self._applied[self._velocity_index], self._ball_force, self._ball_reaction
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""

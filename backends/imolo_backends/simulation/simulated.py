@@ -26,6 +26,7 @@ from imolo_backends.simulation.ball_drag import BallDrag
 from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
+from imolo_backends.simulation.stepping import stepping
 from imolo_backends.simulation.streams import Streams
 from imolo_msgs import actuator_command_t, trial_event_t
 
@@ -92,13 +93,14 @@ class SimulatedBackend:
             body.joint_limits, np.array(scene.joint_angle), config.timestep, drawn
         )
         self._channels = config.actuators.channels
-        self._drag = BallDrag(task.drag())
+        self._air = BallDrag(task.drag())
+        self._air.force[:] = 0.0 - ball.mass * np.array(scene.gravity)  # holds the ball
+        self._take_steps = stepping(self._engine, self._actuators, self._air)
         self._schedule = CommandSchedule(self._channels)
         self._mocap = Mocap(config.mocap, body, trial.generator("mocap"))
         noise, count = config.actuators.sensor_noise, len(self._channels)
         self._streams = Streams(bus, body, noise, count, trial.generator("pressure"))
         self._ball_mass = ball.mass
-        self._hold_force = 0.0 - ball.mass * np.array(scene.gravity)
         self._released = False
         self._throw = throw
         self._state = self._engine.read()
@@ -127,17 +129,7 @@ class SimulatedBackend:
         self._engine.close()
 
     def _run(self, steps: int) -> None:
-        actuate, engine_step, motion = self._actuators.step, self._engine.step, self._engine.motion
-        torque = self._actuators.joint_torque
-        drag = self._drag.step if self._released else None
-        ball_force = self._drag.force if self._released else self._hold_force
-        angle, velocity, ball_velocity = motion()
-        for _ in range(steps):
-            actuate(angle, velocity)
-            if drag is not None:
-                drag(ball_velocity)
-            engine_step(torque, ball_force)
-            angle, velocity, ball_velocity = motion()
+        self._take_steps(steps, self._released)
         self._step += steps
 
     def _at(self, time: float, action: Callable[[], None]) -> None:
@@ -155,7 +147,7 @@ class SimulatedBackend:
 
     def _release(self) -> None:
         # One step of force that leaves exactly the release velocity behind.
-        self._hold_force += self._ball_mass * self._throw.velocity / self._config.timestep
+        self._air.force += self._ball_mass * self._throw.velocity / self._config.timestep
         self._run(1)
         self._released = True
         self._announce_once(
