@@ -274,6 +274,7 @@ class Pneumatics:
                 self._volumes(cylinders, joint_limits, joint_angle),
             )
         )
+        self._behind_valves = self._state[2 * joints : self._tank]
         self._port = np.zeros(valves + joints)
         self.target = self._port[:valves]
         self.joint_torque = self._port[valves:]
@@ -290,7 +291,7 @@ class Pneumatics:
 
     def measured(self) -> Array:
         """Return the gauge pressure behind each valve [Pa], shape (V,)."""
-        return self._state[2 * self._joints : self._tank] - ATMOSPHERE
+        return self._behind_valves - ATMOSPHERE
 
     @property
     def chamber_pressure(self) -> Array:
