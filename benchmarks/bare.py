@@ -108,7 +108,7 @@ def _pybullet_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Calla
             center, _ = pybullet.getBasePositionAndOrientation(ball, client)
             pybullet.applyExternalForce(ball, -1, force, center, pybullet.WORLD_FRAME, client)
             pybullet.stepSimulation(client)
-        engine._ball_velocity = pybullet.getBaseVelocity(ball, client)[0]  # which `step` would have kept
+        engine._watch.velocity = pybullet.getBaseVelocity(ball, client)[0]  # which `step` would have kept
 
     return loop
 

@@ -14,7 +14,7 @@ from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import check_value
+from imolo_backends.engines.engine_checks import check_value, fill
 from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding
 from imolo_backends.simulation.simulated import simulated_plugin
 
@@ -186,7 +186,7 @@ class OdeEngine(EngineAdapter):
     def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
         """See `EngineAdapter.write_motion`."""
         self._robot.write_motion(joint_angle, joint_velocity)
-        ball_velocity[:] = self._ball.getLinearVel()
+        fill(ball_velocity, self._ball.getLinearVel())
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""

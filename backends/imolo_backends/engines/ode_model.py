@@ -8,7 +8,7 @@ import numpy as np
 from imolo.contracts.engine import Array, Scene
 from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.engine_checks import Body, base_rotation, check_value
+from imolo_backends.engines.engine_checks import Body, base_rotation, check_value, fill
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
 
 try:
@@ -80,9 +80,9 @@ class OdeRobot:
 
     def write_motion(self, angle: Array, velocity: Array) -> None:
         """Write joint angles [rad] and velocities [rad/s], each of shape (J,)."""
-        angle[:] = [get() for get in self._get_angle]
+        fill(angle, [get() for get in self._get_angle])
         angle += self._zero
-        velocity[:] = [get() for get in self._get_velocity]
+        fill(velocity, [get() for get in self._get_velocity])
 
     def base_speed(self) -> tuple[float, ...]:
         """Return linear [m/s] and angular velocity [rad/s] of the base's COM; nothing where the base is fixed."""

@@ -15,7 +15,13 @@ from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import base_rotation, rotation_matrices, turned_inertia
+from imolo_backends.engines.engine_checks import (
+    BallWatch,
+    base_com_velocity,
+    fill,
+    rotation_matrices,
+    turned_inertia,
+)
 from imolo_backends.engines.quiet_import import import_quietly
 from imolo_backends.simulation.simulated import simulated_plugin
 
@@ -86,9 +92,7 @@ class PybulletEngine(EngineAdapter):
         self._set_start()
 
         self._links_without_base = [self._link_index[name] for name in scene.link_names[1:]]
-        self._ball_velocity: tuple[float, float, float] = ball.velocity
-        self._gain = scene.timestep / ball.mass  # [s/kg]
-        self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
+        self._watch = BallWatch(scene)
         return self._loaded(robot)
 
     def _load_robot(self, urdf: Path) -> None:
@@ -138,8 +142,7 @@ class PybulletEngine(EngineAdapter):
         w, x, y, z = scene.base_quaternion
         pose = pybullet.multiplyTransforms(scene.base_position, (x, y, z, w), info[3], info[4])
         pybullet.resetBasePositionAndOrientation(robot, *pose, **self._at)
-        spin = np.array(scene.base_angular_velocity)
-        velocity = np.array(scene.base_velocity) + np.cross(spin, base_rotation(scene) @ np.array(info[3]))
+        velocity, spin = base_com_velocity(scene, np.array(info[3]))
         if not scene.fixed_base:
             pybullet.resetBaseVelocity(robot, velocity.tolist(), spin.tolist(), **self._at)
         for joint, angle in zip(self._joints, scene.joint_angle, strict=True):
@@ -162,16 +165,10 @@ class PybulletEngine(EngineAdapter):
             center, _ = pybullet.getBasePositionAndOrientation(ball, client)
             pybullet.applyExternalForce(ball, BASE, force, center, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
-        before = self._ball_velocity
-        self._ball_velocity = after = pybullet.getBaseVelocity(ball, client)[0]
-        # What touches the ball adds to what force and gravity do; looking for contacts at every step would cost more.
-        gain, fall = self._gain, self._fall
-        touched: float = (
-            abs(after[0] - before[0] - force[0] * gain - fall[0])
-            + abs(after[1] - before[1] - force[1] * gain - fall[1])
-            + abs(after[2] - before[2] - force[2] * gain - fall[2])
-        )
-        return touched > UNTOUCHED
+        velocity = pybullet.getBaseVelocity(ball, client)[0]
+        touched = self._watch.unexplained(velocity, force) > UNTOUCHED
+        self._watch.velocity = velocity
+        return touched
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -183,8 +180,10 @@ class PybulletEngine(EngineAdapter):
         """See `EngineAdapter.write_motion`."""
         if self._joints:
             states = pybullet.getJointStates(self._robot, self._joints, self._client)
-            joint_angle[:], joint_velocity[:], _, _ = zip(*states, strict=True)
-        ball_velocity[:] = self._ball_velocity
+            angles, velocities, _, _ = zip(*states, strict=True)
+            fill(joint_angle, angles)
+            fill(joint_velocity, velocities)
+        fill(ball_velocity, self._watch.velocity)
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""

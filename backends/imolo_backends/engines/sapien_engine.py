@@ -12,7 +12,14 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import base_rotation, joint_index, rotation_matrices, unexplained_change
+from imolo_backends.engines.engine_checks import (
+    BallWatch,
+    base_com_velocity,
+    base_rotation,
+    fill,
+    joint_index,
+    rotation_matrices,
+)
 from imolo_backends.engines.sapien_bodies import (
     make_pose,
     make_shape,
@@ -89,8 +96,7 @@ class SapienEngine(EngineAdapter):
         set_body(self._ball, ball.mass, sapien.Pose(), [ball.inertia] * 3, options.push_out)
         self._add(self._ball, sapien.Pose(ball.position))
         self._ball.set_linear_velocity(ball.velocity)
-        self._ball_velocity = list(ball.velocity)
-        self._fall, self._gain = [g * scene.timestep for g in scene.gravity], scene.timestep / ball.mass
+        self._watch = BallWatch(scene)
         self._no_torque = np.zeros(3)
         return self._loaded()
 
@@ -149,9 +155,8 @@ class SapienEngine(EngineAdapter):
         if names:
             self._robot.set_qpos(angles)
         if not scene.fixed_base:
-            spin = np.array(scene.base_angular_velocity)
-            arm = base_rotation(scene) @ robot.links[robot.base].com  # the linear velocity is that of the COM
-            self._robot.set_root_linear_velocity(np.array(scene.base_velocity) + np.cross(spin, arm))
+            velocity, spin = base_com_velocity(scene, robot.links[robot.base].com)
+            self._robot.set_root_linear_velocity(velocity)
             self._robot.set_root_angular_velocity(spin)
 
     def advance(self, joint_torque: Array, ball_force: Array) -> bool:
@@ -161,9 +166,9 @@ class SapienEngine(EngineAdapter):
             self._robot.set_qf(self._torque)
         self._ball.add_force_torque(ball_force, self._no_torque)
         self._system.step()
-        before, after = self._ball_velocity, self._ball.get_linear_velocity().tolist()
-        self._ball_velocity = after
-        change = unexplained_change(before, after, ball_force.tolist(), self._fall, self._gain)
+        after = self._ball.get_linear_velocity().tolist()
+        change = self._watch.unexplained(after, ball_force.tolist())
+        self._watch.velocity = after
         return bool(change > UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2])))
 
     def touches(self) -> Iterator[Touch]:
@@ -180,7 +185,7 @@ class SapienEngine(EngineAdapter):
         if self._joints:
             joint_angle[:] = self._robot.get_qpos()[self._joint_index]
             joint_velocity[:] = self._robot.get_qvel()[self._joint_index]
-        ball_velocity[:] = self._ball_velocity
+        fill(ball_velocity, self._watch.velocity)
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
