@@ -131,7 +131,7 @@ def _dart_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[
 def _ode_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
     world, timestep, contacts = engine._world, engine._scene.timestep, engine._contact_joints
     robot, fixed, ball, meet = engine._robot_space, engine._fixed_space, engine._ball_shape, engine._meet
-    add_torque, add_force, touches = engine._add_torque, engine._ball.addForce, engine._ball_touches
+    add_torque, add_force, touches = engine._robot.add_torque, engine._ball.addForce, engine._ball_touches
     torque_lists, force_lists = joint_torque.tolist(), ball_force.tolist()
 
     def loop() -> None:
