@@ -42,7 +42,7 @@ class Recorder:
             self._log = lcm.EventLog(str(path), "w", overwrite=True)
         except (OSError, ValueError) as error:
             raise BusError(f"cannot write the log {path}: {error}; choose a folder you may write to") from error
-        write = self._log.write_event
+        write = self._log.c_eventlog.write_event  # without a detour in Python at every message
         bus.subscribe_raw(lambda channel, data: write(clock(), channel, data))
 
     def __enter__(self) -> "Recorder":

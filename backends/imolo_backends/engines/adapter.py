@@ -130,7 +130,7 @@ class EngineAdapter(ABC):
             self._contacts += merge_touches(self.time, self.touches())
 
     def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`; an adapter whose library shows its own memory overrides it."""
+        """See `Engine.motion`; an adapter whose library shows its own memory sets `_motion` in `load`."""
         if self._motion_is_old:
             self.write_motion(*self._motion)
             self._motion_is_old = False

@@ -24,7 +24,6 @@ from imolo_backends.engines.engine_checks import BallWatch, base_rotation, joint
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
-UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin
 
 logging.getLogger("drake").setLevel(logging.ERROR)  # it warns that half spaces do not touch what is deformable
 
@@ -125,7 +124,7 @@ class DrakeEngine(EngineAdapter):
         try:
             updated = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
             velocity = updated.value()[self._ball_velocity].tolist()
-            touched = self._watch.unexplained(velocity, ball_force.tolist()) > UNTOUCHED
+            touched = self._watch.touched(velocity, ball_force.tolist())
             if touched and not self._touched:
                 fastest = max((speed for *_, speed in self._ball_contacts()), default=0.0)
                 self._shapes.damp_ball(self._graph.GetMyMutableContextFromRoot(self._root), fastest)

@@ -17,6 +17,8 @@ FLOOR = "floor"
 NEGLIGIBLE = 1e-6  # [kg] less than any real link; `plain_urdf` gives less to a link without mass
 RELATIVE_TOLERANCE = 1e-6  # Loading a model copies numbers; PyBullet diagonalises inertias on the way.
 
+UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin; 1e-7 N would do more
+
 Touch = tuple[str, Sequence[float] | Array, float]
 """What the ball touched, where [m], and with which normal force [N]."""
 
@@ -139,7 +141,7 @@ class BallWatch:
     Plain numbers, of which NumPy would take six times as long.
 
     Attributes:
-        velocity: After the last step [m/s]; the adapter keeps it up to date.
+        velocity: After the last step [m/s].
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -147,14 +149,22 @@ class BallWatch:
         self._gain = scene.timestep / scene.ball.mass  # [s/kg]
         self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
 
-    def unexplained(self, after: Sequence[float], force: Sequence[float]) -> float:
-        """Return by how much the velocity changes in a step [m/s] beside what gravity and a force [N] do."""
+    def touched(self, after: Sequence[float], force: Sequence[float], rounding: float = UNTOUCHED) -> bool:
+        """Take the velocity after a step, and return whether more than gravity and a force [N] changed it.
+
+        Args:
+            after: The velocity [m/s].
+            force: On the ball in this step [N].
+            rounding: Change that is none [m/s].
+        """
         before, gain, fall = self.velocity, self._gain, self._fall
-        return (
+        self.velocity = after
+        change = (
             abs(after[0] - before[0] - force[0] * gain - fall[0])
             + abs(after[1] - before[1] - force[1] * gain - fall[1])
             + abs(after[2] - before[2] - force[2] * gain - fall[2])
         )
+        return change > rounding
 
 
 def fill(out: Array, numbers: Iterable[float]) -> None:

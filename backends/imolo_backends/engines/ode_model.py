@@ -58,16 +58,14 @@ class OdeRobot:
                 self._add_shape(space, name, collision)
         self._start()
 
-        order = list(self._bodies)
-        places = [self._places[name] for name in scene.link_names]
+        order, places = list(self._bodies), [self._places[name] for name in scene.link_names]
         self._part = [order.index(place.part) if place.part in order else -1 for place in places]
         self._offset = np.array([place.position for place in places])[:, :, None]
         self._turn = np.array([place.rotation for place in places])
         self._com = np.array([model.links[name].com for name in order]).reshape(-1, 3, 1)
         self._zero = [zero[name] for name in scene.joint_names]
         kinds = [model.joints[name].kind for name in scene.joint_names]
-        sliding = [kind == "prismatic" for kind in kinds]
-        moving = list(zip(self.hinges, sliding, strict=True))
+        moving = [(hinge, kind == "prismatic") for hinge, kind in zip(self.hinges, kinds, strict=True)]
         self.add_torque = [joint.addForce if slides else joint.addTorque for joint, slides in moving]
         self._get_angle = [joint.getPosition if slides else joint.getAngle for joint, slides in moving]
         self._get_velocity = [joint.getPositionRate if slides else joint.getAngleRate for joint, slides in moving]

@@ -21,6 +21,7 @@ from imolo_backends.engines.engine_checks import (
     rotation_matrices,
 )
 from imolo_backends.engines.sapien_bodies import (
+    attach,
     make_pose,
     make_shape,
     physx,
@@ -92,7 +93,7 @@ class SapienEngine(EngineAdapter):
             self._add_fixed(box.name, sapien.Pose(box.center), box.half_extents)
         self._add_robot(robot)
         self._ball = physx.PhysxRigidDynamicComponent()
-        self._attach(self._ball, physx.PhysxCollisionShapeSphere(ball.radius, self._materials[1]), BALL, TOUCHING)
+        attach(self._ball, physx.PhysxCollisionShapeSphere(ball.radius, self._materials[1]), BALL, TOUCHING)
         set_body(self._ball, ball.mass, sapien.Pose(), [ball.inertia] * 3, options.push_out)
         self._add(self._ball, sapien.Pose(ball.position))
         self._ball.set_linear_velocity(ball.velocity)
@@ -106,11 +107,6 @@ class SapienEngine(EngineAdapter):
         entity.pose = pose
         self._world.add_entity(entity)
 
-    def _attach(self, component: Any, shape: Any, groups: list[int], contact_offset: float) -> None:
-        shape.contact_offset, shape.rest_offset = contact_offset, 0.0
-        shape.set_collision_groups(groups)
-        component.attach(shape)
-
     def _add_fixed(self, name: str, pose: Any, half_extents: Any = None) -> None:
         component = physx.PhysxRigidStaticComponent()
         for material, groups, offset in zip(self._materials, FIXED, self._offsets, strict=True):
@@ -118,7 +114,7 @@ class SapienEngine(EngineAdapter):
                 shape = physx.PhysxCollisionShapePlane(material)
             else:
                 shape = physx.PhysxCollisionShapeBox(half_extents, material)
-            self._attach(component, shape, groups, offset)
+            attach(component, shape, groups, offset)
         self._add(component, pose)
         self._names[component] = name
 
@@ -133,7 +129,7 @@ class SapienEngine(EngineAdapter):
             component = physx.PhysxArticulationLinkComponent(links[joint.parent] if joint else None)
             for collision in link.collisions:
                 for material, groups, offset in zip(self._materials, ROBOT, self._offsets, strict=True):
-                    self._attach(component, make_shape(collision, material, self._folder), groups, offset)
+                    attach(component, make_shape(collision, material, self._folder), groups, offset)
             moments, axes = np.linalg.eigh(link.inertia)
             axes[:, 0] *= np.linalg.det(axes)  # right-handed
             set_body(component, link.mass, make_pose(link.com, axes), moments, self._options.push_out)
@@ -167,9 +163,8 @@ class SapienEngine(EngineAdapter):
         self._ball.add_force_torque(ball_force, self._no_torque)
         self._system.step()
         after = self._ball.get_linear_velocity().tolist()
-        change = self._watch.unexplained(after, ball_force.tolist())
-        self._watch.velocity = after
-        return bool(change > UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2])))
+        rounding = UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2]))
+        return self._watch.touched(after, ball_force.tolist(), rounding)
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
