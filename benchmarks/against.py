@@ -26,6 +26,8 @@ MEASURED = {
     "pybullet": "from benchmarks import loop; found = loop.run('pybullet')",
     "dart": "from benchmarks import loop; found = loop.run('dart')",
     "ode": "from benchmarks import loop; found = loop.run('ode')",
+    "drake": "from benchmarks import loop; found = loop.run('drake')",
+    "sapien": "from benchmarks import loop; found = loop.run('sapien')",
     "method": """
 from benchmarks import planner, table
 from benchmarks.learned import learn
@@ -57,7 +59,8 @@ COMMANDS = {
     "demo": ["compare", *(f"configs/{name}.yaml" for name in ("mujoco", "pybullet", "dart")), "--out", "{out}"],
 }
 SUBJECTS = (*MEASURED, *COMMANDS)
-USUAL = tuple(name for name in SUBJECTS if name not in ("live", "demo"))
+# Revisions before Drake and SAPIEN have no loops of theirs.
+USUAL = tuple(name for name in SUBJECTS if name not in ("live", "demo", "drake", "sapien"))
 
 
 def compare(revision: str, subjects: list[str], rounds: int, console: Console) -> None:

@@ -24,6 +24,17 @@ if not BACKENDS.status("ode").problem:
     ENGINES["ode"] = OdeEngine
 
 
+if not BACKENDS.status("drake").problem:
+    from imolo_backends.engines.drake_engine import DrakeEngine
+
+    ENGINES["drake"] = DrakeEngine
+
+if not BACKENDS.status("sapien").problem:
+    from imolo_backends.engines.sapien_engine import SapienEngine
+
+    ENGINES["sapien"] = SapienEngine
+
+
 @dataclass
 class Recording:
     """What a trial did to its engine, step by step, and where that led.
@@ -108,7 +119,7 @@ def _pybullet_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Calla
             center, _ = pybullet.getBasePositionAndOrientation(ball, client)
             pybullet.applyExternalForce(ball, -1, force, center, pybullet.WORLD_FRAME, client)
             pybullet.stepSimulation(client)
-        engine._ball_velocity = pybullet.getBaseVelocity(ball, client)[0]  # which `step` would have kept
+        engine._watch.velocity = pybullet.getBaseVelocity(ball, client)[0]  # which `step` would have kept
 
     return loop
 
@@ -131,7 +142,7 @@ def _dart_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[
 def _ode_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
     world, timestep, contacts = engine._world, engine._scene.timestep, engine._contact_joints
     robot, fixed, ball, meet = engine._robot_space, engine._fixed_space, engine._ball_shape, engine._meet
-    add_torque, add_force, touches = engine._add_torque, engine._ball.addForce, engine._ball_touches
+    add_torque, add_force, touches = engine._robot.add_torque, engine._ball.addForce, engine._ball_touches
     torque_lists, force_lists = joint_torque.tolist(), ball_force.tolist()
 
     def loop() -> None:
@@ -150,9 +161,40 @@ def _ode_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[
     return loop
 
 
+def _drake_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    diagram, root, port = engine._diagram, engine._root, engine._port
+    forces = np.zeros((len(joint_torque), len(engine._force)))
+    forces[:, engine._torque_index], forces[:, engine._force_index] = joint_torque, ball_force
+
+    def loop() -> None:
+        for force in forces:
+            port.GetMutableData().set_value(force)
+            root.SetDiscreteState(diagram.EvalUniquePeriodicDiscreteUpdate(root))
+        engine._state = root.get_discrete_state_vector().CopyToVector()  # which `step` would have kept
+
+    return loop
+
+
+def _sapien_loop(engine: Any, joint_torque: Array, ball_force: Array) -> Callable[[], None]:
+    system, robot, ball, no_torque = engine._system, engine._robot, engine._ball, np.zeros(3)
+    forces = np.zeros_like(joint_torque)
+    forces[:, engine._joint_index] = joint_torque
+
+    def loop() -> None:
+        for torques, force in zip(forces, ball_force, strict=True):
+            robot.set_qf(torques)
+            ball.add_force_torque(force, no_torque)
+            system.step()
+        engine._watch.velocity = ball.get_linear_velocity().tolist()  # which `step` would have kept
+
+    return loop
+
+
 BARE_LOOPS: dict[str, Callable[[Any, Array, Array], Callable[[], None]]] = {
     "mujoco": _mujoco_loop,
     "pybullet": _pybullet_loop,
     "dart": _dart_loop,
     "ode": _ode_loop,
+    "drake": _drake_loop,
+    "sapien": _sapien_loop,
 }

@@ -17,7 +17,7 @@ from imolo.method.motion import MotionTemplate
 from imolo.trials.trial import run_trial
 from imolo_msgs import mocap_frame_t, trial_event_t
 
-TARGETS = {"mujoco": 1.7, "pybullet": 1.3, "dart": 1.3, "ode": 1.7}
+TARGETS = {"mujoco": 1.25, "pybullet": 1.2, "dart": 1.12, "ode": 1.25, "drake": 1.2, "sapien": 1.2}
 REPEATS = 7
 DURATION = 1.1  # [s] a throw, as long as the ball flies
 THETA, ONSET = (0.06, 0.28), 0.5  # [s] the robot waits as long as for a real ball

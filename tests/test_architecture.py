@@ -79,3 +79,11 @@ def test_no_file_outside_the_robots_names_a_robot(package: str) -> None:
         if robots.search(line)
     ]
     assert named == []
+
+
+def test_no_file_of_an_engine_has_more_than_230_lines() -> None:
+    """What engines have in common is the framework's."""
+    folder = PACKAGES["imolo_backends"] / "engines"
+    lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in folder.glob("*.py")}
+    assert {"mujoco_engine.py", "pybullet_engine.py", "dart_engine.py", "ode_engine.py"} < lengths.keys()
+    assert {name: length for name, length in lengths.items() if length > 230} == {}

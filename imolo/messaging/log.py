@@ -42,8 +42,8 @@ class Recorder:
             self._log = lcm.EventLog(str(path), "w", overwrite=True)
         except (OSError, ValueError) as error:
             raise BusError(f"cannot write the log {path}: {error}; choose a folder you may write to") from error
-        self._clock = clock
-        bus.subscribe_raw(self._write)
+        write = self._log.c_eventlog.write_event  # without a detour in Python at every message
+        bus.subscribe_raw(lambda channel, data: write(clock(), channel, data))
 
     def __enter__(self) -> "Recorder":
         return self
@@ -54,9 +54,6 @@ class Recorder:
     def close(self) -> None:
         """Close the file."""
         self._log.close()
-
-    def _write(self, channel: str, data: bytes) -> None:
-        self._log.write_event(self._clock(), channel, data)
 
 
 @dataclass

@@ -29,7 +29,7 @@ def run_trial(
     controller: Controller,
     log_path: Path,
     duration: float,
-    after_slice: Callable[[int], None] = lambda _: None,
+    after_slice: Callable[[int], None] | None = None,
 ) -> float:
     """Run a trial in lock-step and record all of it.
 
@@ -71,8 +71,9 @@ def run_trial(
             while backend.utime < end:
                 backend.advance(min(backend.utime + SLICE, end))
                 bus.drain()
-                after_slice(backend.utime)
-                bus.drain()
+                if after_slice is not None:
+                    after_slice(backend.utime)
+                    bus.drain()
             # A clock on the wall may have passed the end while the controller computed: what happened must be heard.
             backend.advance(end)
             bus.publish(channels.TRIAL, _event(config, trial, EventName.END, backend.utime))

@@ -7,7 +7,7 @@ from liberobot import BODY
 from imolo.contracts.engine import EngineState
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo_backends.simulation.streams import MARKER, Streams, pack_frame
+from imolo_backends.simulation.streams import MARKER_SIZE, Streams, pack_frame, put_marker
 from imolo_msgs import actuator_state_t, mocap_frame_t, truth_ball_t, truth_robot_t
 
 UTIME = 1234567
@@ -69,10 +69,12 @@ def test_noise_of_each_reading_is_what_would_be_drawn_for_it_alone(state: Engine
 
 
 def test_lcm_writes_the_frame_it_read() -> None:
-    markers = np.zeros(3, MARKER)
-    markers["marker_id"] = 4, 7, -1
-    markers["marker_position"] = np.random.default_rng(0).standard_normal((3, 3))
-    data = pack_frame(UTIME, 5, markers)
+    markers, places = np.zeros(4 * MARKER_SIZE, dtype=np.uint8), np.random.default_rng(0).standard_normal((3, 3))
+    for number, (label, place) in enumerate(zip((4, -2_000_000_000, -1), places, strict=True)):
+        put_marker(markers, number, label, place)
+    data = pack_frame(UTIME, 5, 3, markers)
     frame = mocap_frame_t.decode(data)
-    assert (frame.utime, frame.frame_number, [m.marker_id for m in frame.markers]) == (UTIME, 5, [4, 7, -1])
+    assert (frame.utime, frame.frame_number) == (UTIME, 5)
+    assert [m.marker_id for m in frame.markers] == [4, -2_000_000_000, -1]
+    assert [list(m.marker_position) for m in frame.markers] == places.tolist()
     assert frame.encode() == data

@@ -18,6 +18,7 @@ from imolo.contracts.actuators import Actuators, ActuatorsConfig, Channel
 from imolo.errors import ConfigError
 from imolo.method.motion import PhasedMotion
 from imolo_backends.actuators import pneumatics_kernel as k
+from imolo_backends.compiled import CFunction, c_function
 
 Array = NDArray[np.float64]
 
@@ -273,18 +274,24 @@ class Pneumatics:
                 self._volumes(cylinders, joint_limits, joint_angle),
             )
         )
+        self._behind_valves = self._state[2 * joints : self._tank]
         self._port = np.zeros(valves + joints)
         self.target = self._port[:valves]
         self.joint_torque = self._port[valves:]
         self.target[:] = rest
+        self._air = self._parameters, self._state, self._delayed, self._counters, self._port
 
     def step(self, joint_angle: Array, joint_velocity: Array) -> None:
         """Advance the air by one engine step under `target`, then set `joint_torque`."""
-        k.advance(self._parameters, self._state, self._delayed, self._counters, self._port, joint_angle, joint_velocity)
+        k.advance(*self._air, joint_angle, joint_velocity)
+
+    def compiled_step(self, joint_angle: Array, joint_velocity: Array) -> CFunction:
+        """Return what does the same as `step` with these two arrays."""
+        return c_function(k.advance, *self._air, joint_angle, joint_velocity)
 
     def measured(self) -> Array:
         """Return the gauge pressure behind each valve [Pa], shape (V,)."""
-        return self._state[2 * self._joints : self._tank] - ATMOSPHERE
+        return self._behind_valves - ATMOSPHERE
 
     @property
     def chamber_pressure(self) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from imolo.contracts.engine import Array, BallContact, EngineState, Scene
 from imolo.contracts.urdf import RobotModel, read_urdf
+from imolo_backends.compiled import CompiledStep, twin
 from imolo_backends.engines.engine_checks import (
     FLOOR,
     Body,
@@ -112,14 +113,24 @@ class EngineAdapter(ABC):
 
     def step(self, joint_torque: Array, ball_force: Array) -> None:
         """See `Engine.step`."""
-        touched = self.advance(joint_torque, ball_force)
-        self._steps += 1
+        self._count(1, self.advance(joint_torque, ball_force))
+
+    def compiled_step(self) -> CompiledStep | None:
+        """Return what does the same as `step` in compiled code, of an adapter with a `compiled_advance`."""
+        advance = twin(self, "advance")
+        if advance is None:
+            return None
+        function, joint_torque, ball_force, ball_reaction = advance
+        return CompiledStep(function, joint_torque, ball_force, ball_reaction, self._count)
+
+    def _count(self, steps: int, touched: object) -> None:
+        self._steps += steps
         self._motion_is_old = True
         if touched:
             self._contacts += merge_touches(self.time, self.touches())
 
     def motion(self) -> tuple[Array, Array, Array]:
-        """See `Engine.motion`; an adapter whose library shows its own memory overrides it."""
+        """See `Engine.motion`; an adapter whose library shows its own memory sets `_motion` in `load`."""
         if self._motion_is_old:
             self.write_motion(*self._motion)
             self._motion_is_old = False

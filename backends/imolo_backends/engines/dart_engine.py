@@ -10,19 +10,16 @@ import numpy as np
 from pydantic import PositiveInt
 
 from imolo.config.model import Positive
-from imolo.contracts.engine import Array, BoxShape, EngineOptions, Scene
+from imolo.contracts.engine import Array, BoxShape, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
-from imolo_backends.engines.adapter import FLOOR, Body, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
+from imolo_backends.engines.dart_model import add_body, held, load_robot, pose, set_contact, shapes
 from imolo_backends.engines.engine_checks import base_rotation, joint_index
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
-DETECTORS = {
-    "dart": dartpy.collision.DARTCollisionDetector,
-    "fcl": dartpy.collision.FCLCollisionDetector,
-    "ode": dartpy.collision.OdeCollisionDetector,
-}
+DETECTORS = {"dart": "DART", "fcl": "FCL", "ode": "Ode"}  # as dartpy writes them
 FLOOR_BOX = BoxShape(FLOOR, (0.0, 0.0, -1.0), (50.0, 50.0, 1.0))  # since not every detector has planes
 
 
@@ -62,7 +59,8 @@ class DartEngine(EngineAdapter):
         sleep.mEnabled = False
         world.setDeactivationOptions(sleep)
         constraints = world.getConstraintSolver()
-        constraints.setCollisionDetector(DETECTORS[options.collision_detector]())
+        detector = f"{DETECTORS[options.collision_detector]}CollisionDetector"
+        constraints.setCollisionDetector(getattr(dartpy.collision, detector)())
         if options.friction == "cone":
             settings = dartpy.constraint.NsgsFrictionSolver.Options()
             settings.maxSweeps, settings.tolerance = options.friction_sweeps, options.friction_tolerance
@@ -71,17 +69,17 @@ class DartEngine(EngineAdapter):
             # Takes over where the iterations fail; DART's own second choice, PGS, does not carry this robot.
             constraints.setSecondaryBoxedLcpSolver(direct)
 
-        self._robot = _load_robot(scene, urdf)
+        self._robot = load_robot(scene, urdf)
         world.addSkeleton(self._robot)
         ball = dartpy.dynamics.SphereShape(scene.ball.radius)
-        self._ball, self._ball_body = _add_body(world, BALL, BALL, "Free", ball)
+        self._ball, self._ball_body = add_body(world, BALL, BALL, "Free", ball)
         inertia = scene.ball.inertia * np.eye(3)
         self._ball_body.setInertia(dartpy.dynamics.Inertia(scene.ball.mass, np.zeros(3), inertia))
         # DART multiplies the restitutions of two bodies, none of which may exceed 1. Robot and ball bounce off the box
         # in their own ways: so what is fixed is there twice, once for the robot and once for the ball.
         most = max(scene.restitution, scene.robot_restitution) or 1.0
-        _set_contact(self._robot, scene.friction, most)
-        _set_contact(self._ball, scene.friction, scene.restitution / most)
+        set_contact(self._robot, scene.friction, most)
+        set_contact(self._ball, scene.friction, scene.restitution / most)
         links = self._robot.getBodyNodes()
         self._add_fixed("robot", restitution=scene.robot_restitution / most, invisible_to=[self._ball_body])
         self._add_fixed("ball", restitution=most, invisible_to=links)
@@ -100,9 +98,9 @@ class DartEngine(EngineAdapter):
         no_contact = world.getConstraintSolver().getCollisionOption().collisionFilter
         for box in (FLOOR_BOX, *scene.boxes):
             shape = dartpy.dynamics.BoxShape(2.0 * np.array(box.half_extents))
-            skeleton, body = _add_body(world, f"{box.name} for the {partner}", box.name, "Weld", shape)
-            skeleton.getRootJoint().setTransformFromParentBodyNode(_pose(box.center, np.eye(3)))
-            _set_contact(skeleton, scene.friction, restitution)
+            skeleton, body = add_body(world, f"{box.name} for the {partner}", box.name, "Weld", shape)
+            skeleton.getRootJoint().setTransformFromParentBodyNode(pose(box.center, np.eye(3)))
+            set_contact(skeleton, scene.friction, restitution)
             for other in invisible_to:
                 no_contact.addBodyNodePairToBlackList(body, other)
 
@@ -110,12 +108,12 @@ class DartEngine(EngineAdapter):
         scene = self._scene
         root = self._robot.getRootJoint()
         if not scene.fixed_base:
-            root.setTransform(_pose(scene.base_position, base_rotation(scene)))
+            root.setTransform(pose(scene.base_position, base_rotation(scene)))
             root.setLinearVelocity(scene.base_velocity)
             root.setAngularVelocity(scene.base_angular_velocity)
         for dof, angle in zip(self._dofs, scene.joint_angle, strict=True):
             self._robot.setPosition(dof, angle)
-        self._ball.getRootJoint().setTransform(_pose(scene.ball.position, np.eye(3)))
+        self._ball.getRootJoint().setTransform(pose(scene.ball.position, np.eye(3)))
         self._ball.getRootJoint().setLinearVelocity(scene.ball.velocity)
 
     def advance(self, joint_torque: Array, ball_force: Array) -> object:
@@ -163,68 +161,20 @@ class DartEngine(EngineAdapter):
 
     def _loaded(self) -> Loaded:
         world, joints = self._world, {name: self._robot.getJoint(name) for name in self._scene.joint_names}
-        skeletons = map(world.getSkeleton, range(world.getNumSkeletons()))
-        shapes = [shape for s in skeletons for node in s.getBodyNodes() for shape in node.getShapeNodes()]
+        parts = [shape for number in range(world.getNumSkeletons()) for shape in shapes(world.getSkeleton(number))]
         limits = {n: (j.getPositionLowerLimit(0), j.getPositionUpperLimit(0)) for n, j in joints.items()}
         return Loaded(
-            links={node.getName(): _held(node) for node in self._robot.getBodyNodes()},
-            ball=_held(self._ball_body),
+            links={node.getName(): held(node) for node in self._robot.getBodyNodes()},
+            ball=held(self._ball_body),
             gravity=world.getGravity(),
             limits={n: limits[n] for n, j in joints.items() if np.isfinite(limits[n][0]) and j.areLimitsEnforced()},
             timestep=world.getTimeStep(),
-            friction=[(s.getName(), s.getDynamicsAspect().getFrictionCoeff()) for s in shapes if s.hasDynamicsAspect()],
+            friction=[(s.getName(), s.getDynamicsAspect().getFrictionCoeff()) for s in parts],
             resistance={
                 name: (joint.getDampingCoefficient(0), joint.getCoulombFriction(0), joint.getSpringStiffness(0))
                 for name, joint in joints.items()
             },
         )
-
-
-def _held(node: Any) -> Body:
-    inertia = node.getInertia()
-    return inertia.getMass(), inertia.getLocalCOM(), inertia.getMoment()
-
-
-def _pose(position: Any, rotation: Array) -> Any:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, position
-    return dartpy.math.Isometry3(matrix)
-
-
-def _load_robot(scene: Scene, urdf: Path) -> Any:
-    loader, root = dartpy.utils.DartLoader(), dartpy.utils.DartLoaderRootJointType
-    options = loader.getOptions()
-    options.mDefaultRootJointType = root.FIXED if scene.fixed_base else root.FLOATING
-    loader.setOptions(options)
-    robot = loader.parseSkeleton(str(urdf))
-    if robot is None:
-        raise BackendError(f"DART cannot load {scene.urdf}")
-    if scene.fixed_base:
-        robot.getRootJoint().setTransformFromParentBodyNode(_pose(scene.base_position, base_rotation(scene)))
-    robot.disableSelfCollisionCheck()
-    for joint in robot.getJoints():
-        joint.setLimitEnforcement(True)
-    return robot
-
-
-def _add_body(world: Any, name: str, body_name: str, kind: str, shape: Any) -> tuple[Any, Any]:
-    skeleton = dartpy.dynamics.Skeleton(name)
-    _, body = getattr(skeleton, f"create{kind}JointAndBodyNodePair")()
-    body.setName(body_name)
-    node = body.createShapeNode(shape)
-    node.createCollisionAspect()
-    node.createDynamicsAspect()
-    world.addSkeleton(skeleton)
-    return skeleton, body
-
-
-def _set_contact(skeleton: Any, friction: float, restitution: float) -> None:
-    for node in skeleton.getBodyNodes():
-        for shape in node.getShapeNodes():
-            if shape.hasDynamicsAspect():
-                # DART takes the smaller friction coefficient of two bodies.
-                shape.getDynamicsAspect().setFrictionCoeff(friction)
-                shape.getDynamicsAspect().setRestitutionCoeff(restitution)
 
 
 BACKEND = simulated_plugin(

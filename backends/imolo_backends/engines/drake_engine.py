@@ -20,11 +20,10 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
 from imolo_backends.engines.adapter import Body, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.drake_shapes import DrakeShapes
-from imolo_backends.engines.engine_checks import base_rotation, joint_index, unexplained_change
+from imolo_backends.engines.engine_checks import BallWatch, base_rotation, joint_index
 from imolo_backends.simulation.simulated import simulated_plugin
 
 BALL = "imolo_ball"
-UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin
 
 logging.getLogger("drake").setLevel(logging.ERROR)  # it warns that half spaces do not touch what is deformable
 
@@ -110,7 +109,7 @@ class DrakeEngine(EngineAdapter):
         self._port = plant.get_applied_generalized_force_input_port().FixValue(context, self._force)
         self._contact_results = plant.get_contact_results_output_port()
         self._state = self._root.get_discrete_state_vector().CopyToVector()
-        self._fall, self._gain = [g * scene.timestep for g in scene.gravity], scene.timestep / ball.mass
+        self._watch = BallWatch(scene)
         self._touched = False
         return self._loaded(robot, joints)
 
@@ -124,8 +123,8 @@ class DrakeEngine(EngineAdapter):
         self._port.GetMutableData().set_value(self._force)
         try:
             updated = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
-            before, after = (state[self._ball_velocity].tolist() for state in (self._state, updated.value()))
-            touched = unexplained_change(before, after, ball_force.tolist(), self._fall, self._gain) > UNTOUCHED
+            velocity = updated.value()[self._ball_velocity].tolist()
+            touched = self._watch.touched(velocity, ball_force.tolist())
             if touched and not self._touched:
                 fastest = max((speed for *_, speed in self._ball_contacts()), default=0.0)
                 self._shapes.damp_ball(self._graph.GetMyMutableContextFromRoot(self._root), fastest)
@@ -136,6 +135,7 @@ class DrakeEngine(EngineAdapter):
             raise DivergenceError(f"Drake cannot go on at {self.time:.4f} s: {error}") from error
         self._touched = touched
         self._state = updated.value().copy()
+        self._watch.velocity = self._state[self._ball_velocity].tolist()
         self._root.SetDiscreteState(updated)
         return touched
 

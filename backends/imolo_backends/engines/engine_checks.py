@@ -1,7 +1,9 @@
 """What is checked and collected in the same way for every engine: the model it loaded and the ball's contacts."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ from imolo_backends.engines.rigid_parts import merge_fixed
 FLOOR = "floor"
 NEGLIGIBLE = 1e-6  # [kg] less than any real link; `plain_urdf` gives less to a link without mass
 RELATIVE_TOLERANCE = 1e-6  # Loading a model copies numbers; PyBullet diagonalises inertias on the way.
+
+UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin; 1e-7 N would do more
 
 Touch = tuple[str, Sequence[float] | Array, float]
 """What the ball touched, where [m], and with which normal force [N]."""
@@ -131,25 +135,46 @@ def merge_touches(time: float, touches: Iterable[Touch]) -> list[BallContact]:
     return contacts
 
 
-def unexplained_change(
-    before: list[float], after: list[float], force: list[float], fall: list[float], gain: float
-) -> float:
-    """Return by how much the ball's velocity changed in a step [m/s] beside what force and gravity do.
+class BallWatch:
+    """Tells from its velocity whether something touched the ball; looking for contacts at every step would cost more.
 
     Plain numbers, of which NumPy would take six times as long.
 
-    Args:
-        before: Velocity before the step [m/s].
-        after: The same after it.
-        force: Beside gravity [N].
-        fall: What gravity adds in a step [m/s].
-        gain: What a newton adds in a step [m/s].
+    Attributes:
+        velocity: After the last step [m/s].
     """
-    return (
-        abs(after[0] - before[0] - force[0] * gain - fall[0])
-        + abs(after[1] - before[1] - force[1] * gain - fall[1])
-        + abs(after[2] - before[2] - force[2] * gain - fall[2])
-    )
+
+    def __init__(self, scene: Scene) -> None:
+        self.velocity: Sequence[float] = scene.ball.velocity
+        self._gain = scene.timestep / scene.ball.mass  # [s/kg]
+        self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
+
+    def touched(self, after: Sequence[float], force: Sequence[float], rounding: float = UNTOUCHED) -> bool:
+        """Take the velocity after a step, and return whether more than gravity and a force [N] changed it.
+
+        Args:
+            after: The velocity [m/s].
+            force: On the ball in this step [N].
+            rounding: Change that is none [m/s].
+        """
+        before, gain, fall = self.velocity, self._gain, self._fall
+        self.velocity = after
+        change = (
+            abs(after[0] - before[0] - force[0] * gain - fall[0])
+            + abs(after[1] - before[1] - force[1] * gain - fall[1])
+            + abs(after[2] - before[2] - force[2] * gain - fall[2])
+        )
+        return change > rounding
+
+
+def fill(out: Array, numbers: Iterable[float]) -> None:
+    """Write as many of Python's numbers as there is room for, shape (N,); NumPy would take three times as long."""
+    _packer(len(out))(out, 0, *numbers)
+
+
+@cache
+def _packer(count: int) -> Callable[..., None]:
+    return struct.Struct(f"{count}d").pack_into
 
 
 def joint_index(numbers: Sequence[int]) -> Any:
@@ -181,6 +206,12 @@ def base_rotation(scene: Scene) -> Array:
     w, x, y, z = scene.base_quaternion
     matrix: Array = rotation_matrices(np.array([[x, y, z, w]]))[0]
     return matrix
+
+
+def base_com_velocity(scene: Scene, com: Array) -> tuple[Array, Array]:
+    """Return velocity [m/s] and angular velocity [rad/s] of the base at the start, of its COM in the link's frame."""
+    spin = np.array(scene.base_angular_velocity)
+    return np.array(scene.base_velocity) + np.cross(spin, base_rotation(scene) @ com), spin
 
 
 def turned_inertia(quaternion: Array, moments: Array) -> Array:

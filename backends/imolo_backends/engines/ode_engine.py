@@ -1,7 +1,6 @@
 """ODE, the paper's engine, as an `Engine`."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,16 +13,12 @@ from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import check_value
-from imolo_backends.engines.ode_model import OdeRobot, make_body, ode, sliding
+from imolo_backends.engines.engine_checks import check_value, fill
+from imolo_backends.engines.ode_model import OdeRobot, make_ball, ode, sliding
 from imolo_backends.simulation.simulated import simulated_plugin
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
-PAPER_SETTINGS = {
-    "erp": 1e-6,
-    "cfm": 1e-6,
-    "stop_erp": 1e-6,
-    "contact_erp": 1e-6,
+PAPER_SETTINGS = dict.fromkeys(("erp", "cfm", "stop_erp", "contact_erp"), 1e-6) | {
     "max_contacts": 3,
     "friction": "pyramid",
 }
@@ -83,13 +78,7 @@ class OdeEngine(EngineAdapter):
         self._robot_space, self._fixed_space = ode.SimpleSpace(), ode.SimpleSpace()
         self._robot = OdeRobot(world, self._robot_space, scene, robot, options.stop_erp)
         self._shapes = dict(self._robot.shapes)
-        self._add_torque = self._robot.add_torque
-
-        self._ball = make_body(world, scene.ball.mass, scene.ball.inertia * np.eye(3))
-        self._ball_shape = ode.GeomSphere(None, scene.ball.radius)
-        self._ball_shape.setBody(self._ball)
-        self._ball.setPosition(scene.ball.position)
-        self._ball.setLinearVel(scene.ball.velocity)
+        self._ball, self._ball_shape = make_ball(world, scene.ball)
         self._shapes[self._ball_shape] = self._ball, "ball"
         self._shapes[ode.GeomPlane(self._fixed_space, (0.0, 0.0, 1.0), 0.0)] = None, FLOOR
         for box in scene.boxes:
@@ -112,14 +101,12 @@ class OdeEngine(EngineAdapter):
         """
         torque, force = joint_torque.tolist(), ball_force.tolist()
         _, velocity, ball_velocity = self.motion()
-        total = sum(map(abs, (*torque, *force, *velocity.tolist(), *ball_velocity.tolist(), *self._robot.base_speed())))
-        if not total < LARGEST:
-            what = f"torques {torque} N·m or ball force {force} N or speeds: {velocity.tolist()} rad/s, ball"
-            raise DivergenceError(
-                f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: {what} {ball_velocity.tolist()} m/s"
-            )
+        speeds = (*velocity.tolist(), *ball_velocity.tolist(), *self._robot.base_speed())
+        if not sum(map(abs, (*torque, *force, *speeds))) < LARGEST:
+            what = f"torques {torque} N·m, ball force {force} N or speeds of joints, ball and base {speeds}"
+            raise DivergenceError(f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: {what}")
         # ODE forgets torques and forces after every step.
-        for add, value in zip(self._add_torque, torque, strict=True):
+        for add, value in zip(self._robot.add_torque, torque, strict=True):
             add(value)
         self._ball.addForce(force)
         ode.collide2(self._robot_space, self._fixed_space, None, self._meet)
@@ -128,7 +115,8 @@ class OdeEngine(EngineAdapter):
         self._step(self._scene.timestep)
         touched = bool(self._ball_touches)
         if touched:
-            self._told = list(self._tell_touches())
+            self._told = [self._tell(*touch) for touch in self._ball_touches]
+            self._ball_touches.clear()
         self._contact_joints.empty()
         self._robot.count_turns()
         return touched
@@ -139,7 +127,7 @@ class OdeEngine(EngineAdapter):
             return
         options, scene = self._options, self._scene
         (first_body, first_name), (second_body, second_name) = self._shapes[first], self._shapes[second]
-        if first_body is None and second_body is None:
+        if first_body is second_body is None:
             return
         with_ball = self._ball in (first_body, second_body)
         if len(contacts) > options.max_contacts:
@@ -171,13 +159,10 @@ class OdeEngine(EngineAdapter):
                 other = second_name if first_body is self._ball else first_name
                 self._ball_touches.append((joint, other, position, normal))
 
-    def _tell_touches(self) -> Iterator[Touch]:
-        for joint, other, position, normal in self._ball_touches:
-            force = joint.getFeedback()[0]
-            yield other, position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))
-            # With it the process would abort when the joint is removed.
-            joint.setFeedback(False)
-        self._ball_touches.clear()
+    def _tell(self, joint: Any, other: str, position: Any, normal: Any) -> Touch:
+        force = joint.getFeedback()[0]
+        joint.setFeedback(False)  # with it the process would abort when the joint is removed
+        return other, position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))
 
     def touches(self) -> list[Touch]:
         """See `EngineAdapter.touches`."""
@@ -186,7 +171,7 @@ class OdeEngine(EngineAdapter):
     def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
         """See `EngineAdapter.write_motion`."""
         self._robot.write_motion(joint_angle, joint_velocity)
-        ball_velocity[:] = self._ball.getLinearVel()
+        fill(ball_velocity, self._ball.getLinearVel())
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from imolo.contracts.engine import Array, Scene
+from imolo.contracts.engine import Array, Ball, Scene
 from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.engine_checks import Body, base_rotation, check_value
+from imolo_backends.engines.engine_checks import Body, base_rotation, check_value, fill
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
 
 try:
@@ -58,10 +58,14 @@ class OdeRobot:
                 self._add_shape(space, name, collision)
         self._start()
 
-        self._zero = np.array([zero[name] for name in scene.joint_names])
+        order, places = list(self._bodies), [self._places[name] for name in scene.link_names]
+        self._part = [order.index(place.part) if place.part in order else -1 for place in places]
+        self._offset = np.array([place.position for place in places])[:, :, None]
+        self._turn = np.array([place.rotation for place in places])
+        self._com = np.array([model.links[name].com for name in order]).reshape(-1, 3, 1)
+        self._zero = [zero[name] for name in scene.joint_names]
         kinds = [model.joints[name].kind for name in scene.joint_names]
-        sliding = [kind == "prismatic" for kind in kinds]
-        moving = list(zip(self.hinges, sliding, strict=True))
+        moving = [(hinge, kind == "prismatic") for hinge, kind in zip(self.hinges, kinds, strict=True)]
         self.add_torque = [joint.addForce if slides else joint.addTorque for joint, slides in moving]
         self._get_angle = [joint.getPosition if slides else joint.getAngle for joint, slides in moving]
         self._get_velocity = [joint.getPositionRate if slides else joint.getAngleRate for joint, slides in moving]
@@ -80,9 +84,8 @@ class OdeRobot:
 
     def write_motion(self, angle: Array, velocity: Array) -> None:
         """Write joint angles [rad] and velocities [rad/s], each of shape (J,)."""
-        angle[:] = [get() for get in self._get_angle]
-        angle += self._zero
-        velocity[:] = [get() for get in self._get_velocity]
+        fill(angle, [get() + zero for get, zero in zip(self._get_angle, self._zero, strict=True)])
+        fill(velocity, [get() for get in self._get_velocity])
 
     def base_speed(self) -> tuple[float, ...]:
         """Return linear [m/s] and angular velocity [rad/s] of the base's COM; nothing where the base is fixed."""
@@ -91,19 +94,16 @@ class OdeRobot:
 
     def link_poses(self) -> tuple[Array, Array, Array]:
         """Return origins [m], shape (L, 3), and rotation matrices, shape (L, 3, 3), and the base's quaternion."""
-        poses = {self._model.base: self._base_pose}
-        for name, body in self._bodies.items():
-            rotation = np.array(body.getRotation()).reshape(3, 3)
-            poses[name] = np.array(body.getPosition()) - rotation @ self._model.links[name].com, rotation
-        links = []
-        for name in self._scene.link_names:
-            place = self._places[name]
-            position, rotation = poses[place.part]
-            links.append((position + rotation @ place.position, rotation @ place.rotation))
+        bodies = self._bodies.values()
+        rotations = np.array([body.getRotation() for body in bodies]).reshape(-1, 3, 3)
+        centers = np.array([body.getPosition() for body in bodies]).reshape(-1, 3)
+        origins = centers - (rotations @ self._com)[:, :, 0]
+        # A fixed base, which is no body, comes last.
+        origin, rotation = np.vstack((origins, self._base_pose[0])), np.vstack((rotations, self._base_pose[1][None]))
+        turned = rotation[self._part]
         base = self._bodies.get(self._model.base)
         quaternion = self._scene.base_quaternion if base is None else base.getQuaternion()
-        positions, rotations = map(np.array, zip(*links, strict=True))
-        return positions, rotations, np.array(quaternion)
+        return origin[self._part] + (turned @ self._offset)[:, :, 0], turned @ self._turn, np.array(quaternion)
 
     def loaded_links(self) -> dict[str, Body]:
         """Return what ODE holds of each rigid part, under the name of its first link; a fixed base is no body."""
@@ -194,6 +194,15 @@ def make_body(world: Any, mass: float, inertia: Array) -> Any:
     made.setParameters(mass, 0.0, 0.0, 0.0, xx, yy, zz, xy, xz, yz)
     body.setMass(made)
     return body
+
+
+def make_ball(world: Any, ball: Ball) -> tuple[Any, Any]:
+    """Return the ball's body and its shape, in no space."""
+    body, shape = make_body(world, ball.mass, ball.inertia * np.eye(3)), ode.GeomSphere(None, ball.radius)
+    shape.setBody(body)
+    body.setPosition(ball.position)
+    body.setLinearVel(ball.velocity)
+    return body, shape
 
 
 def sliding(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> tuple[Any, float]:

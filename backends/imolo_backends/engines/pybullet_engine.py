@@ -15,7 +15,7 @@ from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import base_rotation, rotation_matrices, turned_inertia
+from imolo_backends.engines.engine_checks import BallWatch, base_com_velocity, fill, rotation_matrices, turned_inertia
 from imolo_backends.engines.quiet_import import import_quietly
 from imolo_backends.simulation.simulated import simulated_plugin
 
@@ -27,10 +27,8 @@ BASE, BALL = -1, "the ball"
 BODY_RESTITUTION = 1e-4
 # [rad/s, m/s] Bullet clamps every joint velocity at 100, the spin of a rolling ball among them.
 VELOCITY_LIMIT = 1e6
-UNTOUCHED = 1e-9  # [m/s] rounding of the ball's velocity in a step, with a wide margin; 1e-7 N would do more
-# Compiled, since NumPy would take 20 µs at every `read`.
 TORQUE = pybullet.TORQUE_CONTROL
-ROTATION_MATRICES = njit(cache=True)(rotation_matrices)
+ROTATION_MATRICES = njit(cache=True)(rotation_matrices)  # NumPy would take 20 µs at every `read`
 
 
 class PybulletOptions(EngineOptions):
@@ -64,7 +62,6 @@ class PybulletEngine(EngineAdapter):
         self._at = {"physicsClientId": self._client}
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=scene.timestep,
-            numSubSteps=0,
             numSolverIterations=options.solver_iterations,
             solverResidualThreshold=0.0,
             erp=options.erp,
@@ -86,9 +83,7 @@ class PybulletEngine(EngineAdapter):
         self._set_start()
 
         self._links_without_base = [self._link_index[name] for name in scene.link_names[1:]]
-        self._ball_velocity: tuple[float, float, float] = ball.velocity
-        self._gain = scene.timestep / ball.mass  # [s/kg]
-        self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
+        self._watch = BallWatch(scene)
         return self._loaded(robot)
 
     def _load_robot(self, urdf: Path) -> None:
@@ -98,12 +93,10 @@ class PybulletEngine(EngineAdapter):
             self._robot = pybullet.loadURDF(str(urdf), useFixedBase=scene.fixed_base, flags=flags, **self._at)
         except pybullet.error as error:
             raise BackendError(f"PyBullet cannot load {scene.urdf}: {error}") from error
-        self._link_index = {scene.link_names[0]: BASE}
-        joint_index = {}
-        for index in range(pybullet.getNumJoints(self._robot, **self._at)):
-            info = pybullet.getJointInfo(self._robot, index, **self._at)
-            joint_index[info[1].decode()] = index
-            self._link_index[info[12].decode()] = index
+        joints = range(pybullet.getNumJoints(self._robot, **self._at))
+        infos = [pybullet.getJointInfo(self._robot, index, **self._at) for index in joints]
+        self._link_index = {scene.link_names[0]: BASE} | {info[12].decode(): info[0] for info in infos}
+        joint_index = {info[1].decode(): info[0] for info in infos}
         self._joints = [joint_index[name] for name in scene.joint_names]
 
     def _add_body(self, kind: int, position: Any = (0.0, 0.0, 0.0), mass: float = 0.0, **size: Any) -> int:
@@ -123,12 +116,11 @@ class PybulletEngine(EngineAdapter):
             change(linearDamping=0.0, angularDamping=0.0, jointDamping=0.0)
             change(maxJointVelocity=VELOCITY_LIMIT)
             change(lateralFriction=friction, spinningFriction=0.0, rollingFriction=0.0, restitution=restitution)
+            if body == ball or (body == self._robot and scene.robot_restitution > 0.0):
+                # At small steps it would be stopped before it touches, and not bounce.
+                change(contactProcessingThreshold=0.0)
         # Without `mass` Bullet would ignore the inertia.
         change(mass=scene.ball.mass, localInertiaDiagonal=[scene.ball.inertia] * 3)
-        # At small steps a body would be stopped before it touches, and not bounce.
-        bouncing = self._link_index.values() if scene.robot_restitution > 0.0 else ()
-        for body, link in ((ball, BASE), *((self._robot, link) for link in bouncing)):
-            pybullet.changeDynamics(body, link, contactProcessingThreshold=0.0, **self._at)
 
     def _set_start(self) -> None:
         scene, robot = self._scene, self._robot
@@ -138,10 +130,8 @@ class PybulletEngine(EngineAdapter):
         w, x, y, z = scene.base_quaternion
         pose = pybullet.multiplyTransforms(scene.base_position, (x, y, z, w), info[3], info[4])
         pybullet.resetBasePositionAndOrientation(robot, *pose, **self._at)
-        spin = np.array(scene.base_angular_velocity)
-        velocity = np.array(scene.base_velocity) + np.cross(spin, base_rotation(scene) @ np.array(info[3]))
         if not scene.fixed_base:
-            pybullet.resetBaseVelocity(robot, velocity.tolist(), spin.tolist(), **self._at)
+            pybullet.resetBaseVelocity(robot, *base_com_velocity(scene, np.array(info[3])), **self._at)
         for joint, angle in zip(self._joints, scene.joint_angle, strict=True):
             pybullet.resetJointState(robot, joint, angle, 0.0, **self._at)
         if self._joints:
@@ -155,23 +145,14 @@ class PybulletEngine(EngineAdapter):
         client, ball = self._client, self._ball
         # Bullet forgets torques and forces after every step.
         if self._joints:
-            robot, joints, torque = self._robot, self._joints, joint_torque.tolist()
-            pybullet.setJointMotorControlArray(robot, joints, TORQUE, forces=torque, physicsClientId=client)
+            torque = joint_torque.tolist()
+            pybullet.setJointMotorControlArray(self._robot, self._joints, TORQUE, forces=torque, physicsClientId=client)
         force = ball_force.tolist()
         if force != [0.0, 0.0, 0.0]:
             center, _ = pybullet.getBasePositionAndOrientation(ball, client)
             pybullet.applyExternalForce(ball, BASE, force, center, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
-        before = self._ball_velocity
-        self._ball_velocity = after = pybullet.getBaseVelocity(ball, client)[0]
-        # What touches the ball adds to what force and gravity do; looking for contacts at every step would cost more.
-        gain, fall = self._gain, self._fall
-        touched: float = (
-            abs(after[0] - before[0] - force[0] * gain - fall[0])
-            + abs(after[1] - before[1] - force[1] * gain - fall[1])
-            + abs(after[2] - before[2] - force[2] * gain - fall[2])
-        )
-        return touched > UNTOUCHED
+        return self._watch.touched(pybullet.getBaseVelocity(ball, client)[0], force)
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -182,9 +163,10 @@ class PybulletEngine(EngineAdapter):
     def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
         """See `EngineAdapter.write_motion`."""
         if self._joints:
-            states = pybullet.getJointStates(self._robot, self._joints, self._client)
-            joint_angle[:], joint_velocity[:], _, _ = zip(*states, strict=True)
-        ball_velocity[:] = self._ball_velocity
+            angles, velocities, *_ = zip(*pybullet.getJointStates(self._robot, self._joints, self._client), strict=True)
+            fill(joint_angle, angles)
+            fill(joint_velocity, velocities)
+        fill(ball_velocity, self._watch.velocity)
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
@@ -198,14 +180,12 @@ class PybulletEngine(EngineAdapter):
             turns += [link[5] for link in links]
         x, y, z, w = turns[0]
         ball_position, _ = pybullet.getBasePositionAndOrientation(self._ball, client)
-        base_quaternion = np.array((w, x, y, z))
-        return np.array(positions), ROTATION_MATRICES(np.array(turns)), base_quaternion, np.array(ball_position)
+        return np.array(positions), ROTATION_MATRICES(np.array(turns)), np.array((w, x, y, z)), np.array(ball_position)
 
     def close(self) -> None:
         """See `Engine.close`."""
-        if self._client >= 0:
+        if pybullet.isConnected(self._client):
             pybullet.disconnect(self._client)
-            self._client = -1
 
     def _loaded(self, robot: RobotModel) -> Loaded:
         bodies, friction = {}, []

@@ -22,6 +22,13 @@ UNLIMITED = 1e6  # [m/s, rad/s] PhysX clamps speeds, the spin of a rolling ball 
 CONTINUOUS = (-np.inf, np.inf)
 
 
+def attach(component: Any, shape: Any, groups: list[int], contact_offset: float) -> None:
+    """Give a body a shape that touches those of some groups, from a gap on [m]."""
+    shape.contact_offset, shape.rest_offset = contact_offset, 0.0
+    shape.set_collision_groups(groups)
+    component.attach(shape)
+
+
 def set_body(component: Any, mass: float, com: Any, moments: Any, push_out: float) -> None:
     """Set mass [kg], pose of COM and principal axes, principal moments [kg m²], and how fast it leaves another [m/s].
 

@@ -12,8 +12,16 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import base_rotation, joint_index, rotation_matrices, unexplained_change
+from imolo_backends.engines.engine_checks import (
+    BallWatch,
+    base_com_velocity,
+    base_rotation,
+    fill,
+    joint_index,
+    rotation_matrices,
+)
 from imolo_backends.engines.sapien_bodies import (
+    attach,
     make_pose,
     make_shape,
     physx,
@@ -85,12 +93,11 @@ class SapienEngine(EngineAdapter):
             self._add_fixed(box.name, sapien.Pose(box.center), box.half_extents)
         self._add_robot(robot)
         self._ball = physx.PhysxRigidDynamicComponent()
-        self._attach(self._ball, physx.PhysxCollisionShapeSphere(ball.radius, self._materials[1]), BALL, TOUCHING)
+        attach(self._ball, physx.PhysxCollisionShapeSphere(ball.radius, self._materials[1]), BALL, TOUCHING)
         set_body(self._ball, ball.mass, sapien.Pose(), [ball.inertia] * 3, options.push_out)
         self._add(self._ball, sapien.Pose(ball.position))
         self._ball.set_linear_velocity(ball.velocity)
-        self._ball_velocity = list(ball.velocity)
-        self._fall, self._gain = [g * scene.timestep for g in scene.gravity], scene.timestep / ball.mass
+        self._watch = BallWatch(scene)
         self._no_torque = np.zeros(3)
         return self._loaded()
 
@@ -100,11 +107,6 @@ class SapienEngine(EngineAdapter):
         entity.pose = pose
         self._world.add_entity(entity)
 
-    def _attach(self, component: Any, shape: Any, groups: list[int], contact_offset: float) -> None:
-        shape.contact_offset, shape.rest_offset = contact_offset, 0.0
-        shape.set_collision_groups(groups)
-        component.attach(shape)
-
     def _add_fixed(self, name: str, pose: Any, half_extents: Any = None) -> None:
         component = physx.PhysxRigidStaticComponent()
         for material, groups, offset in zip(self._materials, FIXED, self._offsets, strict=True):
@@ -112,7 +114,7 @@ class SapienEngine(EngineAdapter):
                 shape = physx.PhysxCollisionShapePlane(material)
             else:
                 shape = physx.PhysxCollisionShapeBox(half_extents, material)
-            self._attach(component, shape, groups, offset)
+            attach(component, shape, groups, offset)
         self._add(component, pose)
         self._names[component] = name
 
@@ -127,7 +129,7 @@ class SapienEngine(EngineAdapter):
             component = physx.PhysxArticulationLinkComponent(links[joint.parent] if joint else None)
             for collision in link.collisions:
                 for material, groups, offset in zip(self._materials, ROBOT, self._offsets, strict=True):
-                    self._attach(component, make_shape(collision, material, self._folder), groups, offset)
+                    attach(component, make_shape(collision, material, self._folder), groups, offset)
             moments, axes = np.linalg.eigh(link.inertia)
             axes[:, 0] *= np.linalg.det(axes)  # right-handed
             set_body(component, link.mass, make_pose(link.com, axes), moments, self._options.push_out)
@@ -149,9 +151,8 @@ class SapienEngine(EngineAdapter):
         if names:
             self._robot.set_qpos(angles)
         if not scene.fixed_base:
-            spin = np.array(scene.base_angular_velocity)
-            arm = base_rotation(scene) @ robot.links[robot.base].com  # the linear velocity is that of the COM
-            self._robot.set_root_linear_velocity(np.array(scene.base_velocity) + np.cross(spin, arm))
+            velocity, spin = base_com_velocity(scene, robot.links[robot.base].com)
+            self._robot.set_root_linear_velocity(velocity)
             self._robot.set_root_angular_velocity(spin)
 
     def advance(self, joint_torque: Array, ball_force: Array) -> bool:
@@ -161,10 +162,9 @@ class SapienEngine(EngineAdapter):
             self._robot.set_qf(self._torque)
         self._ball.add_force_torque(ball_force, self._no_torque)
         self._system.step()
-        before, after = self._ball_velocity, self._ball.get_linear_velocity().tolist()
-        self._ball_velocity = after
-        change = unexplained_change(before, after, ball_force.tolist(), self._fall, self._gain)
-        return bool(change > UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2])))
+        after = self._ball.get_linear_velocity().tolist()
+        rounding = UNTOUCHED * (1.0 + abs(after[0]) + abs(after[1]) + abs(after[2]))
+        return self._watch.touched(after, ball_force.tolist(), rounding)
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -180,7 +180,7 @@ class SapienEngine(EngineAdapter):
         if self._joints:
             joint_angle[:] = self._robot.get_qpos()[self._joint_index]
             joint_velocity[:] = self._robot.get_qvel()[self._joint_index]
-        ball_velocity[:] = self._ball_velocity
+        fill(ball_velocity, self._watch.velocity)
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""

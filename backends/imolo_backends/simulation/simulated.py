@@ -26,6 +26,7 @@ from imolo_backends.simulation.ball_drag import BallDrag
 from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
+from imolo_backends.simulation.stepping import stepping
 from imolo_backends.simulation.streams import Streams
 from imolo_msgs import actuator_command_t, trial_event_t
 
@@ -39,6 +40,9 @@ class SimulatedBackend:
 
     Time is counted in engine steps; whatever happens between them (a frame, a phase switch, the release of the ball)
     is an event at a step, so that the loop over the steps holds nothing but actuators and rigid bodies.
+
+    Attributes:
+        utime: Simulated time [µs].
     """
 
     def __init__(self, config: ExperimentConfig, engine: type[Engine], options: Model) -> None:
@@ -62,14 +66,11 @@ class SimulatedBackend:
         self._links = frozenset(body.link_names)
         self._feet = [(body.link_names.index(foot.link), foot) for foot in body.feet]
         self._step = 0
+        self.utime = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._happened: set[EventName] = set()
-
-    @property
-    def utime(self) -> int:
-        """Simulated time [µs]."""
-        return round(self._step * self._config.timestep * 1e6)
+        self._commanded: tuple[object, ...] = ()
 
     def start(self, bus: Bus, trial: Trial) -> None:
         """Load the scene, bring the robot to its ready pose and join the bus."""
@@ -92,13 +93,14 @@ class SimulatedBackend:
             body.joint_limits, np.array(scene.joint_angle), config.timestep, drawn
         )
         self._channels = config.actuators.channels
-        self._drag = BallDrag(task.drag())
+        self._air = BallDrag(task.drag())
+        self._air.force[:] = 0.0 - ball.mass * np.array(scene.gravity)  # holds the ball
+        self._take_steps = stepping(self._engine, self._actuators, self._air)
         self._schedule = CommandSchedule(self._channels)
         self._mocap = Mocap(config.mocap, body, trial.generator("mocap"))
         noise, count = config.actuators.sensor_noise, len(self._channels)
         self._streams = Streams(bus, body, noise, count, trial.generator("pressure"))
         self._ball_mass = ball.mass
-        self._hold_force = 0.0 - ball.mass * np.array(scene.gravity)
         self._released = False
         self._throw = throw
         self._state = self._engine.read()
@@ -127,18 +129,9 @@ class SimulatedBackend:
         self._engine.close()
 
     def _run(self, steps: int) -> None:
-        actuate, engine_step, motion = self._actuators.step, self._engine.step, self._engine.motion
-        torque = self._actuators.joint_torque
-        drag = self._drag.step if self._released else None
-        ball_force = self._drag.force if self._released else self._hold_force
-        angle, velocity, ball_velocity = motion()
-        for _ in range(steps):
-            actuate(angle, velocity)
-            if drag is not None:
-                drag(ball_velocity)
-            engine_step(torque, ball_force)
-            angle, velocity, ball_velocity = motion()
+        self._take_steps(steps, self._released)
         self._step += steps
+        self.utime = round(self._step * self._config.timestep * 1e6)
 
     def _at(self, time: float, action: Callable[[], None]) -> None:
         step = max(math.ceil(time / self._config.timestep - 1e-6), self._step)
@@ -155,7 +148,7 @@ class SimulatedBackend:
 
     def _release(self) -> None:
         # One step of force that leaves exactly the release velocity behind.
-        self._hold_force += self._ball_mass * self._throw.velocity / self._config.timestep
+        self._air.force += self._ball_mass * self._throw.velocity / self._config.timestep
         self._run(1)
         self._released = True
         self._announce_once(
@@ -163,11 +156,16 @@ class SimulatedBackend:
         )
 
     def _on_command(self, message: actuator_command_t) -> None:
+        # Every frame is answered, mostly by what is in force.
+        content = message.onset_utime, message.switch_utime, message.target
+        if content == self._commanded:
+            return
         try:
             commands = Commands.from_message(message, self._channels)
         except MessageError as error:
             logger.warning("refused a command at %d us: %s", message.utime, error)
             return
+        self._commanded = content
         if self._schedule.accept(commands):
             self._follow_schedule()
             for change in self._schedule.changes_after(self.utime):
@@ -213,16 +211,18 @@ class SimulatedBackend:
         return state
 
     def _check_finite(self, state: EngineState) -> None:
+        joints = state.joint_angle.tolist() + state.joint_velocity.tolist()
+        ball = state.ball_position.tolist() + state.ball_velocity.tolist()
         # Of so few numbers Python's sum is the fastest.
-        if not math.isfinite(sum(state.joint_angle.tolist()) + sum(state.joint_velocity.tolist())):
+        if math.isfinite(sum(joints) + sum(ball) + sum(state.link_position.ravel().tolist())):
+            return
+        if not math.isfinite(sum(joints)):
             joint = int(np.argmin(np.isfinite(state.joint_angle) & np.isfinite(state.joint_velocity)))
             where = f"joint {self._body.joint_names[joint]}"
         elif not math.isfinite(state.link_position.sum()):
             where = f"link {self._body.link_names[0]}"
-        elif not math.isfinite(sum(state.ball_position.tolist()) + sum(state.ball_velocity.tolist())):
-            where = "the ball"
         else:
-            return
+            where = "the ball"
         raise DivergenceError(
             f"{self._name}: {where} is no longer finite at {state.time:.4f} s of {self._trial.kind} trial "
             f"{self._trial.index}; try a smaller simulation.timestep than {self._config.timestep:g} s"
