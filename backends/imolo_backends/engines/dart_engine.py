@@ -230,7 +230,7 @@ def _set_contact(skeleton: Any, friction: float, restitution: float) -> None:
 BACKEND = simulated_plugin(
     DartEngine,
     DartOptions,
-    "DART: boxed LCP, exact friction cone",
+    summary="DART: boxed LCP, exact friction cone",
     ingredients={
         "friction cone": ({"friction": "cone"}, {"friction": "pyramid"}),
         "solver": ({"friction_sweeps": 30}, {"friction_sweeps": 100}),
