@@ -30,7 +30,16 @@ def test_help_names_every_command_beside_those_of_its_subject(run: Run) -> None:
     assert [name for name in named if name in COMMANDS] == list(COMMANDS)
 
 
-def test_backends_are_listed_without_what_only_trials_and_fits_import() -> None:
+def test_backends_are_listed_without_importing_an_engine() -> None:
+    listing = "from imolo.contracts.registry import BACKENDS; [BACKENDS.about(name) for name in BACKENDS.names()]"
+    program = f"import sys; {listing}; print(*sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    imported = set(ended.stdout.split())
+    assert "imolo.contracts.registry" in imported
+    assert not imported & {"numpy", "scipy", "numba", "pydantic", "mujoco", "pybullet", "dartpy", "pydrake", "sapien"}
+
+
+def test_backends_are_loaded_without_what_only_trials_and_fits_import() -> None:
     listing = "from imolo.contracts.registry import BACKENDS; [BACKENDS.status(name) for name in BACKENDS.names()]"
     program = f"import sys; {listing}; print(*sys.modules)"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

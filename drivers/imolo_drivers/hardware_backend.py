@@ -387,4 +387,6 @@ def _create(config: ExperimentConfig, options: Model) -> Backend:
     return HardwareBackend(config, HardwareOptions.model_validate(options.model_dump()))
 
 
-BACKEND = BackendPlugin("the robot, by TCP and NatNet", HardwareOptions, _create, simulated=False)
+BACKEND = BackendPlugin(
+    summary="the robot, by TCP and NatNet", options=HardwareOptions, create=_create, simulated=False
+)

@@ -7,7 +7,8 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,10 +66,11 @@ class TrialTask:
     duration: float | None = None
 
 
-def learning_tasks(config: ExperimentConfig, folder: Path) -> list[TrialTask]:
+def learning_tasks(config: ExperimentConfig, folder: Path, throws_alone: bool = False) -> list[TrialTask]:
     """Return the throws and the training motions that an experiment learns from."""
     throws = [Trial(TrialKind.THROW, index, config.seed) for index in range(config.campaign.learning_throws)]
-    motions = [Trial(TrialKind.TRAINING, index, config.seed) for index in range(len(config.training.motions))]
+    count = 0 if throws_alone else len(config.training.motions)
+    motions = [Trial(TrialKind.TRAINING, index, config.seed) for index in range(count)]
     return [TrialTask(config, trial, folder / log_name(trial)) for trial in (*throws, *motions)]
 
 
@@ -128,39 +130,90 @@ def run_tasks(
         else:
             timings[number] = timing
             on_done(task)
-    work = [_Work(with_absolute_paths(task), origins[number]) for number, task in left]
-    if not work:
-        ended: Iterable[tuple[int, TrialTiming]] = ()
-    elif parallel.backend == "dask":
-        ended = run_on_dask(_run_far, work, parallel)
-    elif jobs == 1:
-        ended = enumerate(map(_run_here, work))
-    else:
-        ended = run_on_cores(_run_here, work, jobs, parallel.retries, _Work.was_begun)
-    for index, timing in ended:
+    work = [_TrialWork(with_absolute_paths(task), origins[number]) for number, task in left]
+    for index, timing in run_work(work, jobs):
         number, task = left[index]
-        _check_arrival(task)
         discard_partial(task.log_path)
         timings[number] = timing
         on_done(task)
     return [timings[number] for number in range(len(tasks))]
 
 
-@dataclass(frozen=True)
-class _Work:
+class Work(ABC):
+    """Something to do in another process, which leaves a file; errors name it by its text.
+
+    Attributes:
+        config: Of the experiment.
+        path: File to write; absolute, since the process may have been started in another folder.
+        origin: What the file comes from.
+    """
+
+    config: ExperimentConfig
+    path: Path
+    origin: dict[str, str]
+
+    @abstractmethod
+    def run(self) -> TrialTiming:
+        """Do it, write the file, and return how long it took."""
+
+    def was_begun(self) -> bool:
+        """Tell whether a process died over it."""
+        return bool(partial_paths(self.path))
+
+
+def run_work(work: Sequence[Work], jobs: int) -> Iterator[tuple[int, TrialTiming]]:
+    """Do work where `campaign.parallel` says, and again what a dying process left undone.
+
+    Args:
+        work: What to do, all of it under the same `campaign.parallel`.
+        jobs: Number of processes on this machine, or -1 for one per core.
+
+    Yields:
+        Number of a piece of work and its timing, in the order in which they end.
+
+    Raises:
+        WorkerError: A process died each time, or the cluster cannot be used.
+        ImoloError: A piece failed; the files of the others stay.
+    """
+    if not work:
+        return
+    parallel = work[0].config.campaign.parallel
+    if parallel.backend == "dask":
+        ended: Iterable[tuple[int, TrialTiming]] = run_on_dask(_run_far, work, parallel)
+    elif jobs == 1:
+        ended = enumerate(map(_run_here, work))
+    else:
+        ended = run_on_cores(_run_here, work, jobs, parallel.retries, Work.was_begun)
+    for number, timing in ended:
+        _check_arrival(work[number].path)
+        yield number, timing
+
+
+class _TrialWork(Work):
     """A trial and the origin to write beside its log."""
 
-    task: TrialTask
-    origin: dict[str, str]
+    def __init__(self, task: TrialTask, origin: dict[str, str]) -> None:
+        self.task, self.origin = task, origin
+        self.config, self.path = task.config, task.log_path
 
     def __str__(self) -> str:
         task = self.task
         method = f", method {task.method}" if task.method else ""
         return f"trial {task.trial.kind.value} {task.trial.index} on {task.config.backend.name}{method}"
 
-    def was_begun(self) -> bool:
-        """Tell whether a process died over it."""
-        return bool(partial_paths(self.task.log_path))
+    def run(self) -> TrialTiming:
+        """Run the trial and keep its log."""
+        partial = partial_path(self.path)
+        with writing(self.path):
+            try:
+                timing = run_task(replace(self.task, log_path=partial))
+            except TrialVoidError as void:
+                kept_log = set_aside(partial, self.path)
+                raise TrialVoidError(
+                    f"{self} is void: {void} (log: {kept_log}); give the same command to go on"
+                ) from void
+            keep(partial, self.path, self.origin, timing)
+        return timing
 
 
 def _origins(tasks: Sequence[TrialTask]) -> list[dict[str, str]]:
@@ -188,20 +241,18 @@ def with_absolute_paths(task: TrialTask) -> TrialTask:
     return replace(task, log_path=task.log_path.absolute(), table_path=table)
 
 
-def _check_arrival(task: TrialTask) -> None:
-    """Refuse a log that a worker wrote to a disk of its own.
+def _check_arrival(path: Path) -> None:
+    """Refuse a file that a worker wrote to a disk of its own.
 
     Raises:
-        WorkerError: The log is not there.
+        WorkerError: The file is not there.
     """
     deadline = time.monotonic() + ARRIVAL
-    while not task.log_path.is_file():
+    while not path.is_file():
         if time.monotonic() > deadline:
-            raise WorkerError(
-                f"a worker wrote {task.log_path}, but it is not there; choose an --out that all machines share"
-            )
+            raise WorkerError(f"a worker wrote {path}, but it is not there; choose an --out that all machines share")
         # A look at the folder makes a network file system ask its server.
-        list(task.log_path.parent.glob("*"))
+        list(path.parent.glob("*"))
         time.sleep(0.1)
 
 
@@ -212,15 +263,15 @@ def leave_interrupts_to_the_parent() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _run_here(work: _Work) -> TrialTiming:
+def _run_here(work: Work) -> TrialTiming:
     leave_interrupts_to_the_parent()
-    return _run_and_keep(work)
+    return work.run()
 
 
-def _run_far(work: _Work) -> TrialTiming:
-    """Run a trial on a worker of a cluster, which may run several threads in a process and another version of imolo."""
+def _run_far(work: Work) -> TrialTiming:
+    """Run on a worker of a cluster, which may run several threads in a process and another version of imolo."""
     host = socket.gethostname()
-    here = environment() | plugin_code(work.task.config)
+    here = environment() | plugin_code(work.config)
     different = [f"{key} {here.get(key)}" for key in here if here[key] != work.origin.get(key)]
     if different:
         raise WorkerError(
@@ -228,21 +279,9 @@ def _run_far(work: _Work) -> TrialTiming:
         )
     try:
         with _ONE_TRIAL_AT_A_TIME:
-            return _run_and_keep(work)
+            return work.run()
     except BusError as error:
         raise BusError(f"the worker on {host}: {error} that all machines share") from error
-
-
-def _run_and_keep(work: _Work) -> TrialTiming:
-    partial = partial_path(work.task.log_path)
-    with writing(work.task.log_path):
-        try:
-            timing = run_task(replace(work.task, log_path=partial))
-        except TrialVoidError as void:
-            kept_log = set_aside(partial, work.task.log_path)
-            raise TrialVoidError(f"{work} is void: {void} (log: {kept_log}); give the same command to go on") from void
-        keep(partial, work.task.log_path, work.origin, timing)
-    return timing
 
 
 def run_task(task: TrialTask) -> TrialTiming:

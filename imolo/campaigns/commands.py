@@ -66,7 +66,11 @@ def compare(
 def learn(
     config: ConfigPath,
     motions: Annotated[
-        int | None, typer.Option(min=1, help="Learn so many motions, spread evenly, in place of those of the config.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Learn so many motions, spread evenly, in place of those of the config; simulated ones without logs.",
+        ),
     ] = None,
     out: Out = Path("results/learn"),
     seed: Seed = None,
@@ -85,7 +89,7 @@ def learn(
         chosen = chosen.model_copy(update={"training": training})
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
-        comparison.learn([chosen], folder, jobs, bars.show)
+        comparison.learn([chosen], folder, jobs, bars.show, dense=motions is not None)
     for method in chosen.methods:
         say(f"table of method {method!r}: {folder.table(chosen.backend.name, method)}")
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import TypeVar
@@ -20,9 +21,11 @@ from imolo.campaigns.campaign import (
     run_tasks,
     with_absolute_paths,
 )
+from imolo.campaigns.dense_motions import play_motions, read_samples
 from imolo.campaigns.kept_trials import TrialTiming
 from imolo.campaigns.results import ResultsFolder, installed_versions
 from imolo.config.experiment import ExperimentConfig
+from imolo.config.loading import backend_plugin
 from imolo.contracts.registry import PLANNERS
 from imolo.contracts.trial import TrialKind
 from imolo.errors import ConfigError
@@ -144,9 +147,20 @@ def summarise(
 
 
 def learn(
-    configs: Sequence[ExperimentConfig], folder: ResultsFolder, jobs: int, progress: Progress = _no_progress
+    configs: Sequence[ExperimentConfig],
+    folder: ResultsFolder,
+    jobs: int,
+    progress: Progress = _no_progress,
+    dense: bool = False,
 ) -> dict[str, Statistic]:
     """Run the learning trials of every backend and build the table of each of its methods.
+
+    Args:
+        configs: One per backend.
+        folder: Where to write logs, tables and configs.
+        jobs: Number of processes.
+        progress: Told what is done.
+        dense: Whether simulated motions go without a bus and logs, see `play_motions`; the tables are the same.
 
     Returns:
         How far the hands of two backends are apart for the same command, see `Comparison.disagreement`.
@@ -155,8 +169,18 @@ def learn(
         ImoloError: Something failed; what was recorded until then stays.
     """
     folder.prepare()
-    tasks = {config.backend.name: learning_tasks(config, folder.learning(config.backend.name)) for config in configs}
+    unlogged = [config for config in configs if dense and backend_plugin(config).simulated]
+    tasks = {
+        config.backend.name: learning_tasks(config, folder.learning(config.backend.name), config in unlogged)
+        for config in configs
+    }
     _run_groups(tasks, lambda name: f"{name}: learning trials", jobs, progress)
+    samples = {}
+    for config in unlogged:
+        name = config.backend.name
+        samples[name] = play_motions(
+            config, folder.learning(name), jobs, partial(progress, f"{name}: motions without logs")
+        )
     for config in configs:
         # Not before: a folder that holds another campaign is refused as it is.
         folder.save_config(config)
@@ -164,7 +188,13 @@ def learn(
     # Processes that are left of another campaign may be in another folder.
     absolute = ResultsFolder(folder.path.absolute())
     built = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-        delayed(_build_table)(config, method, list(map(with_absolute_paths, tasks[config.backend.name])), absolute)
+        delayed(_build_table)(
+            config,
+            method,
+            list(map(with_absolute_paths, tasks[config.backend.name])),
+            samples.get(config.backend.name, []),
+            absolute,
+        )
         for config in configs
         for method in config.methods
     )
@@ -241,13 +271,20 @@ def _run_groups(
     return {group: [timings[id(task)] for task in tasks] for group, tasks in groups.items()}
 
 
-def _build_table(config: ExperimentConfig, method_name: str, tasks: Sequence[TrialTask], folder: ResultsFolder) -> str:
+def _build_table(
+    config: ExperimentConfig,
+    method_name: str,
+    tasks: Sequence[TrialTask],
+    samples: Sequence[Path],
+    folder: ResultsFolder,
+) -> str:
     leave_interrupts_to_the_parent()
     name, method = config.backend.name, config.methods[method_name]
     # One thread, so that the sums do not depend on the number of cores.
     with threadpool_limits(limits=1):
         throws = [task.log_path for task in tasks if task.trial.kind is TrialKind.THROW]
-        data = learn_motions(config, [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING])
+        logs = [task.log_path for task in tasks if task.trial.kind is TrialKind.TRAINING]
+        data = read_samples(samples) if samples else learn_motions(config, logs)
         path = folder.table(name, method_name)
         path.parent.mkdir(parents=True, exist_ok=True)
         build_table(config, method, data, learn_ball(method, throws)).save(path)

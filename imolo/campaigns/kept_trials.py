@@ -126,12 +126,13 @@ def writing(log_path: Path) -> Iterator[None]:
 
 
 def keep(partial: Path, log_path: Path, origin: dict[str, str], timing: TrialTiming) -> None:
-    """Make a log complete.
+    """Make a log complete, or another file of a trial.
 
     Raises:
         OSError: The log is cut off, or the folder cannot be written.
     """
-    _check_end(partial)
+    if log_path.suffix == LOG_SUFFIX:
+        _check_end(partial)
     # The log comes last and from the disk's point of view whole, so that a power failure leaves no half of it.
     with partial.open("rb+") as file:
         os.fsync(file.fileno())

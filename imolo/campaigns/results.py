@@ -23,6 +23,9 @@ from imolo.messaging.log import LOG_SUFFIX
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SAMPLES_SUFFIX = ".samples.npz"
+"""Of files with what was seen of training motions that have no logs."""
+
 PACKAGES = (
     "imolo",
     "lcm",
@@ -72,7 +75,7 @@ class ResultsFolder:
         Raises:
             ResultsError: They cannot be deleted.
         """
-        for path in (self.path / "logs").rglob(f"*{LOG_SUFFIX}*"):
+        for path in (path for kind in (LOG_SUFFIX, SAMPLES_SUFFIX) for path in self._trials(f"{kind}*")):
             try:
                 path.unlink(missing_ok=True)
             except OSError as error:
@@ -80,7 +83,10 @@ class ResultsFolder:
 
     def trials(self) -> int:
         """Return how many complete trials are there."""
-        return sum(1 for _ in (self.path / "logs").rglob(f"*{LOG_SUFFIX}"))
+        return sum(1 for _ in self._trials(LOG_SUFFIX))
+
+    def _trials(self, ending: str) -> Iterator[Path]:
+        return (self.path / "logs").rglob(f"*{ending}")
 
     def learning(self, backend: str) -> Path:
         """Return the folder of the logs that a backend learns from."""

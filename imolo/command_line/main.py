@@ -72,11 +72,9 @@ def _plugins(registry: "Registry[Any]") -> Table:
     for title in (registry.kind, "state", "about"):
         table.add_column(title)
     for name in registry.names():
-        status = registry.status(name)
-        if status.plugin is None:
-            table.add_row(name, "[red]missing[/red]", escape(status.problem))
-        else:
-            table.add_row(name, "[green]ready[/green]", escape(status.plugin.summary))
+        summary, problem = registry.about(name)
+        state = "[red]missing[/red]" if problem else "[green]ready[/green]"
+        table.add_row(name, state, escape(problem or summary))
     return table
 
 

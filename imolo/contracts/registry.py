@@ -6,15 +6,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from packaging.requirements import Requirement
 
-from imolo.contracts.backend import BackendPlugin
-from imolo.contracts.planner import PlannerPlugin
-from imolo.contracts.robot import Robot
-from imolo.contracts.task import TaskPlugin
+from imolo.contracts.unloaded import summary_unloaded
 from imolo.errors import BackendNotFoundError, did_you_mean
+
+# They import what takes a second, and a list of plug-ins does without.
+if TYPE_CHECKING:
+    from imolo.contracts.backend import BackendPlugin
+    from imolo.contracts.planner import PlannerPlugin
+    from imolo.contracts.robot import Robot
+    from imolo.contracts.task import TaskPlugin
 
 Plugin = TypeVar("Plugin")
 
@@ -70,6 +74,17 @@ class Registry(Generic[Plugin]):
         except ImportError as error:
             return PluginStatus(name, None, _how_to_install(entry_point, error))
 
+    def about(self, name: str) -> tuple[str, str]:
+        """Return the one line that a plug-in says of itself, and what is missing, empty where nothing is.
+
+        It is loaded only where its source does not tell, for engines take seconds.
+        """
+        summary = summary_unloaded(self._entry_points()[name])
+        if summary is not None:
+            return summary, ""
+        status: PluginStatus[Any] = self.status(name)
+        return (status.plugin.summary if status.plugin is not None else ""), status.problem
+
     def load(self, name: str) -> Plugin:
         """Return a plug-in.
 
@@ -91,10 +106,10 @@ def _installed(group: str, path: tuple[str, ...]) -> EntryPoints:
     return entry_points(group=group)
 
 
-BACKENDS: Registry[BackendPlugin] = Registry("backend", "imolo.backends")
-ROBOTS: Registry[Robot] = Registry("robot", "imolo.robots")
-TASKS: Registry[TaskPlugin] = Registry("task", "imolo.tasks")
-PLANNERS: Registry[PlannerPlugin] = Registry("planner", "imolo.planners")
+BACKENDS: "Registry[BackendPlugin]" = Registry("backend", "imolo.backends")
+ROBOTS: "Registry[Robot]" = Registry("robot", "imolo.robots")
+TASKS: "Registry[TaskPlugin]" = Registry("task", "imolo.tasks")
+PLANNERS: "Registry[PlannerPlugin]" = Registry("planner", "imolo.planners")
 
 
 @cache

@@ -8,7 +8,7 @@ itself and left out with its fixed joint: `Scene` says where the base is, and wh
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Literal, get_args
 from xml.etree import ElementTree
@@ -205,9 +205,14 @@ def read_urdf(path: Path) -> RobotModel:
             mass, a moment of inertia that is not positive, floating or planar joints, meshes other than STL and OBJ.
     """
     try:
-        root = ElementTree.parse(path).getroot()
+        return _read(path, path.read_bytes())
     except (OSError, ElementTree.ParseError) as error:
         raise BackendError(f"cannot read URDF {path}: {error}") from error
+
+
+@lru_cache(maxsize=16)  # every trial asks for the same few, which take some milliseconds
+def _read(path: Path, content: bytes) -> RobotModel:
+    root = ElementTree.fromstring(content)
     try:
         links = [_read_link(element, path.parent) for element in root.findall("link")]
         joints = [_read_joint(element) for element in root.findall("joint")]

@@ -1,6 +1,7 @@
 """Where two runs part: the first message, the first field, and how far each channel has gone apart."""
 
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -94,43 +95,73 @@ def compare_logs(first: Path, second: Path, trials: tuple[int | None, int | None
         BusError: One of them is missing or no log, has no such trial, or has several and none is chosen.
     """
     with LogReader(first, CHANNELS) as one, LogReader(second, CHANNELS) as other:
-        runs = [_Run(one), _Run(other)]
-        for run, reader, trial in zip(runs, (one, other), trials, strict=True):
-            events = TrialEvents(reader, trial, only_one=True)
-            for event in events:
-                if trial is not None and not run.places:
-                    run.zero = events.offset - reader.shift
-                run.add(event)
+        runs = _Run(one), _Run(other)
+        events = [
+            _of_trial(run, TrialEvents(reader, trial, only_one=True))
+            for run, reader, trial in zip(runs, (one, other), trials, strict=True)
+        ]
+        _collect(*runs, *events)
         return _compare(*runs)
+
+
+def _of_trial(run: "_Run", events: TrialEvents) -> Iterator[LogEvent]:
+    for number, event in enumerate(events):
+        if events.trial is not None and number == 0:
+            run.zero = events.offset - events.reader.shift
+        yield event
 
 
 def compare_runs(first: Sequence[LogEvent], second: Sequence[LogEvent]) -> RunComparison:
     """Compare two sequences of events."""
-    runs = [_Run(), _Run()]
-    for run, events in zip(runs, (first, second), strict=True):
-        for event in events:
-            run.add(event)
+    runs = _Run(), _Run()
+    _collect(*runs, iter(first), iter(second))
     return _compare(*runs)
+
+
+def _collect(first: "_Run", second: "_Run", events: Iterator[LogEvent], others: Iterator[LogEvent]) -> None:
+    """Take the events of two runs, and remember none of a channel before the runs part on it.
+
+    Most messages of two runs that are compared are the same, and stand at the same place in both.
+    """
+    in_step = True
+    for one, other in zip_longest(events, others):
+        in_step = in_step and one is not None and other is not None and one.channel == other.channel
+        same = in_step and one.channel not in first.places and bool(one.data) and one.data == other.data
+        for run, event in ((first, one), (second, other)):
+            if event is not None:
+                run.add(event, same)
 
 
 class _Run:
     """The events of a run by channel; of those of a log only their places are kept.
 
     Attributes:
-        places: Where the events are: their offsets in the log, or they themselves.
+        counts: Number of events by channel.
+        same: How many of them, the first ones of their channel, are the same in the other run.
+        places: Where the others are: their offsets in the log, or they themselves.
         zero: Subtracted from all times, so that a trial of a session is on its own clock [µs].
     """
 
     def __init__(self, reader: LogReader | None = None) -> None:
         self._reader = reader
+        self.counts: Counter[str] = Counter()
+        self.same: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
         self.zero = 0
+        self._robot: LogEvent | None = None
         self._order = blake2b()
 
-    def add(self, event: LogEvent) -> None:
-        if event.channel not in self.places:
-            self.places[event.channel] = [] if self._reader is None else array("q")
-        self.places[event.channel].append(event if self._reader is None else event.offset)
+    def add(self, event: LogEvent, same: bool) -> None:
+        """Take an event; `same` says that the other run has it as well, and that its channel has been so so far."""
+        self.counts[event.channel] += 1
+        if event.channel == ROBOT and self._robot is None:
+            self._robot = event
+        if same:
+            self.same[event.channel] += 1
+        else:
+            if event.channel not in self.places:
+                self.places[event.channel] = [] if self._reader is None else array("q")
+            self.places[event.channel].append(event if self._reader is None else event.offset)
         self._order.update(f"{event.utime - self.zero} {event.channel}\n".encode(errors="surrogatepass"))
 
     @property
@@ -138,25 +169,22 @@ class _Run:
         """A digest of the channels and times of all events."""
         return self._order.digest()
 
-    def count(self, channel: str) -> int:
-        return len(self.places.get(channel, ()))
-
     def events(self, channel: str) -> Iterator[LogEvent]:
+        """Yield the events of a channel from the first on that may differ."""
         for place in self.places.get(channel, ()):
             event = place if self._reader is None else self._reader.event(place)
             yield event._replace(utime=event.utime - self.zero) if self.zero else event
 
     def names(self) -> Names:
         """Return what the elements of its messages are called."""
-        first = next(self.events(ROBOT), None)
-        return Names(None if first is None else decode(ROBOT, first.data))
+        return Names(None if self._robot is None else decode(ROBOT, self._robot.data))
 
     def pieces(self, event: LogEvent) -> Iterator[bytes]:
         return iter([event.data]) if self._reader is None else self._reader.chunks(event)
 
 
 def _compare(first: _Run, second: _Run) -> RunComparison:
-    names = [*first.places, *second.places]
+    names = [*first.counts, *second.counts]
     ordered = dict.fromkeys([*(name for name in CHANNELS if name in names), *names])
     called = first.names()
     compared = tuple(_compare_channel(name, first, second, called) for name in ordered)
@@ -193,8 +221,8 @@ class _Parting:
 def _compare_channel(name: str, first: _Run, second: _Run, names: Names) -> ChannelComparison:
     parting = _Parting()
     difference: Difference | None = None
-    equal = 0
-    for index, (one, other) in enumerate(zip_longest(first.events(name), second.events(name))):
+    equal = same = first.same[name]
+    for index, (one, other) in enumerate(zip_longest(first.events(name), second.events(name)), same):
         if one is None or other is None:
             numbers = (one and one.number, other and other.number)
             difference = difference or Difference(name, index, (one or other).utime, "", numbers)
@@ -215,7 +243,7 @@ def _compare_channel(name: str, first: _Run, second: _Run, names: Names) -> Chan
             # The bytes differ where no number does: -0.0 is 0.0, or something follows the message.
             path, *values = parting.first or (("bytes",), one.data.hex(), other.data.hex())
             difference = Difference(name, index, one.utime, leaf_name(name, path, names), (values[0], values[1]))
-    counts = first.count(name), second.count(name)
+    counts = first.counts[name], second.counts[name]
     largest = leaf_name(name, parting.largest_path, names)
     return ChannelComparison(name, counts, difference, equal, parting.largest, largest)
 

@@ -1,14 +1,18 @@
 """The task of the paper: hit a thrown ball in the air (Sec. VII)."""
 
+import math
+
+import numpy as np
+
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.model import Model
 from imolo.contracts.engine import Ball
 from imolo.contracts.robot import Body
 from imolo.contracts.task import Task, TaskPlugin, Throw, Verdict
-from imolo.contracts.trial import EventName, Trial
+from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.log import Log
-from imolo.tasks.thrower import drag_of, draw_throw
+from imolo.tasks.thrower import drag_of, draw_throw, held_at
 from imolo_msgs import trial_event_t
 
 ENDS = (EventName.TOUCH, EventName.BALL_LANDED)
@@ -32,8 +36,11 @@ class HitTask:
         return Ball(ball.radius, ball.mass, 0.4 * ball.mass * ball.radius**2, (0.0, 0.0, 0.0))
 
     def throw(self, trial: Trial) -> Throw:
-        """Draw the throw of a trial; the thrower's positions take turns."""
-        return draw_throw(self._config.thrower, self._config.ball, trial.index, trial.generator("throw"))
+        """Draw the throw of a trial; the thrower's positions take turns. In training the ball is held."""
+        thrower = self._config.thrower
+        if trial.kind is TrialKind.TRAINING:
+            return Throw(held_at(thrower, trial.index), np.zeros(3), math.inf)
+        return draw_throw(thrower, self._config.ball, trial.index, trial.generator("throw"))
 
     def drag(self) -> float:
         """Return k in F = -k |v| v [kg/m]."""

@@ -18,12 +18,12 @@ FASTEST = 50.0  # [m/s] no machine throws a foam ball faster, and the drag law w
 
 
 def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.random.Generator) -> Throw:
-    """Draw the throw of one trial; the positions take turns.
+    """Draw the throw of one trial.
 
     Raises:
         ConfigError: No release velocity reaches the aim point in the flight time.
     """
-    position = np.array(thrower.positions[index % len(thrower.positions)])
+    position = held_at(thrower, index)
     aim_point = np.array(thrower.aim_center) + rng.uniform(-1.0, 1.0, 3) * np.array(thrower.aim_spread)
     flight_time = thrower.flight_time + rng.uniform(-1.0, 1.0) * thrower.flight_time_spread
     velocity = aimed_velocity(ball, position, aim_point, flight_time)
@@ -34,6 +34,11 @@ def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.ran
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
     return Throw(position, speed * direction, rng.uniform(*thrower.hold_time))
+
+
+def held_at(thrower: ThrowerConfig, index: int) -> Array:
+    """Return where the ball of one trial is released [m], shape (3,); the positions take turns."""
+    return np.array(thrower.positions[index % len(thrower.positions)])
 
 
 def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_time: float) -> Array:

@@ -95,17 +95,26 @@ def hand_samples(log: Log, config: ExperimentConfig) -> TrainingData:
     plan = last_plan(log)
     if plan is None:
         raise TrainingDataError(f"{log.path} holds no motion to learn from")
+    return swing_samples(log, config, tuple(plan.theta), plan.plan_onset_utime)
+
+
+def swing_samples(log: Log, config: ExperimentConfig, theta: Theta, onset_utime: int) -> TrainingData:
+    """Return where the hand was while it could hit, in the motion of a theta that began at `onset_utime` [µs].
+
+    Raises:
+        TrainingDataError: The hand was not seen during the swing.
+    """
     body, training = body_of(config.robot), config.training
     time, position = marker_track(log, body.learning_marker)
-    time = time - plan.plan_onset_utime * 1e-6
-    since = time - config.motion.swing_of(plan.theta)
+    time = time - onset_utime * 1e-6
+    since = time - config.motion.swing_of(theta)
     swing = (since > training.sampled_from) & (since < training.sampled_to)
     if not swing.any():
         raise TrainingDataError(
             f"{log.path}: marker {body.learning_marker} ({body.effectors[0].name}) was not seen "
             f"{training.sampled_from} to {training.sampled_to} s after the start of the swing; is it labelled so?"
         )
-    return TrainingData(np.tile(plan.theta, (int(swing.sum()), 1)), time[swing], position[swing])
+    return TrainingData(np.tile(theta, (int(swing.sum()), 1)), time[swing], position[swing])
 
 
 def merge(samples: list[TrainingData]) -> TrainingData:

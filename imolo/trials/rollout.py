@@ -1,7 +1,8 @@
-"""Play one motion in a simulated backend without a bus, a log or chance: what would be seen of it."""
+"""Play one motion in a simulated backend without a bus or a log: what would be seen of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -12,11 +13,18 @@ from imolo.config.loading import create_backend
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
-from imolo.method.commands import Commands
+from imolo.messaging.log import Log
+from imolo.method.commands import Commands, to_microseconds
+from imolo.method.forward_model import TrainingData
+from imolo.trials.recordings import swing_samples
+from imolo.trials.trainer import ONSET_DELAY, START_MARGIN
+from imolo.trials.trial import SLICE
+from imolo_msgs import mocap_frame_t
 
 Array = NDArray[np.float64]
 
 HEARD = (channels.MOCAP, channels.TRUTH_ROBOT, channels.ACTUATOR_STATE)
+SELDOM = 1e-3  # [Hz] of what nobody hears
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +53,9 @@ class Rollout:
 class _Ear:
     """Takes the place of a bus between a backend and nobody: keeps what is published, and hands commands over."""
 
-    def __init__(self) -> None:
+    def __init__(self, heard: Sequence[str] = HEARD) -> None:
         self.command: Callable[[Any], None] = lambda _: None
-        self.heard: dict[str, list[bytes]] = {name: [] for name in HEARD}
+        self.heard: dict[str, list[bytes]] = {name: [] for name in heard}
 
     def publish_raw(self, channel: str, data: bytes) -> None:
         """Keep a message."""
@@ -103,6 +111,51 @@ def roll_out(config: ExperimentConfig, commands: Commands, duration: float, seed
         sensor_time=_seconds(sensors),
         measured=np.array([one.measured for one in sensors]),
     )
+
+
+def sample_motion(config: ExperimentConfig, trial: Trial) -> TrainingData:
+    """Play a training motion of a config and return the samples (s, t, theta) of Sec. VII-B.
+
+    They are those of the log of the same trial, to the last bit: its chance is the same, and so is its onset, which
+    counts from the first frame that is seen.
+
+    Args:
+        config: Of the backend.
+        trial: Which of the training motions, and the seed.
+
+    Raises:
+        BackendError: The backend refuses the scene.
+        DivergenceError: The state is no longer finite.
+        TrainingDataError: The hand was not seen during the swing.
+    """
+    unheard = {"sensor_rate": SELDOM, "truth_rate": SELDOM}
+    config = config.model_copy(update={"simulation": config.simulation.model_copy(update=unheard)})
+    mocap, training, theta = config.simulation.mocap, config.training, config.training.motions[trial.index]
+    swing = config.motion.swing_of(theta)
+    ear = _Ear((channels.MOCAP,))
+    frames = ear.heard[channels.MOCAP]
+    backend = create_backend(config)
+    backend.start(cast("Bus", ear), trial)
+    end = to_microseconds(START_MARGIN + swing + training.sampled_to)
+    try:
+        while not frames and backend.utime < end:
+            backend.advance(min(backend.utime + SLICE, end))
+        first = mocap_frame_t.decode(frames[0]) if frames else mocap_frame_t()
+        onset = first.utime + to_microseconds(ONSET_DELAY)
+        ear.command(config.motion.commands(theta, onset).to_message(first.utime, 1))
+        arrival = mocap.latency + abs(mocap.clock_offset) + 2.0 / mocap.rate
+        backend.advance(min(onset + to_microseconds(swing + training.sampled_to + arrival), end))
+    finally:
+        backend.close()
+    log = Log(Path(f"training motion {trial.index}, theta {theta}"))
+    earliest = onset + to_microseconds(swing + training.sampled_from)
+    log.messages[channels.MOCAP] = [mocap_frame_t.decode(data) for data in frames if _utime(data) >= earliest]
+    return swing_samples(log, config, theta, onset)
+
+
+def _utime(data: bytes) -> int:
+    """Return the time [µs] that follows the fingerprint of each message of ours."""
+    return int.from_bytes(data[8:16], "big", signed=True)
 
 
 def _seconds(messages: list[Any]) -> Array:

@@ -138,9 +138,9 @@ def test_contact_points_are_at_most_as_many_as_asked_for(
 
 
 def test_constants_of_an_older_ode_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    from imolo_backends.engines import ode_model
+    from imolo_backends.engines import ode_library, ode_model
 
-    monkeypatch.setattr(ode_model, "STOP_ERP", ode_model.ode.ParamStopERP)
+    monkeypatch.setattr(ode_model, "STOP_ERP", ode_library.ode.ParamStopERP)
     with pytest.raises(BackendError, match="bounce, ERP and CFM of right_hip's stops"):
         make(standing_robot())
 

@@ -133,3 +133,21 @@ def test_ctrl_c_keeps_the_logs_and_ends_in_one_line(tmp_path: Path, jobs: int) -
     # What was cut off can be read up to where it was cut.
     ends = [[event.event for event in read_log(path).messages[TRIAL]][-1:] for path in kept]
     assert ["end"] in ends
+
+
+def test_dense_motions_are_learned_without_logs_and_make_the_same_table(run: Run) -> None:
+    """Its motions in a config, and so with logs, teach the same."""
+    from imolo.method.table_file import read_table_file
+
+    coarse = SMALL.replace("5.0e-4", "1.0e-3").replace("simulation: {", "simulation: {sensor_rate: 240.0, ")
+    Path("dense.yaml").write_text(coarse, encoding="utf-8")
+    run("learn", "dense.yaml", "--motions", "4", "--out", "dense", "--jobs", "1")
+    assert not list(Path("dense/logs").rglob("training_*.lcmlog"))
+    run("learn", "dense/configs/mujoco.yaml", "--out", "logs", "--jobs", "1")
+    assert len(list(Path("logs/logs").rglob("training_*.lcmlog"))) == 4
+    (header, dense), (other_header, logs) = (
+        read_table_file(Path(f"{out}/tables/mujoco_quick.npz")) for out in ("dense", "logs")
+    )
+    assert header["origin"]["ball_model"] == other_header["origin"]["ball_model"]
+    assert dense.keys() == logs.keys()
+    assert all((dense[name] == logs[name]).all() for name in dense)

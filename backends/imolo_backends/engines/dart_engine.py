@@ -180,7 +180,7 @@ class DartEngine(EngineAdapter):
 BACKEND = simulated_plugin(
     DartEngine,
     DartOptions,
-    "DART: boxed LCP, exact friction cone",
+    summary="DART: boxed LCP, exact friction cone",
     ingredients={
         "friction cone": ({"friction": "cone"}, {"friction": "pyramid"}),
         "solver": ({"friction_sweeps": 30}, {"friction_sweeps": 100}),

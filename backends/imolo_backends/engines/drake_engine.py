@@ -207,8 +207,8 @@ LIMITATIONS = (
 BACKEND = simulated_plugin(
     DrakeEngine,
     DrakeOptions,
-    "Drake: convex solver, lagged Coulomb friction",
-    LIMITATIONS,
+    summary="Drake: convex solver, lagged Coulomb friction",
+    limitations=LIMITATIONS,
     ingredients={
         "friction cone": ({"friction": "lagged"}, {"friction": "similar"}, {"friction": "sap"}),
         "contact stiffness": ({"contact_time": 0.001}, {"contact_time": 0.002}),

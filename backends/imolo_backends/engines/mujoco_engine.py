@@ -147,8 +147,8 @@ LIMITATIONS = (
 BACKEND = simulated_plugin(
     MujocoEngine,
     MujocoOptions,
-    "MuJoCo: soft contacts, elliptic friction cone",
-    LIMITATIONS,
+    summary="MuJoCo: soft contacts, elliptic friction cone",
+    limitations=LIMITATIONS,
     ingredients={
         "integrator": ({"integrator": "implicitfast"}, {"integrator": "rk4"}),
         "friction cone": ({"cone": "elliptic"}, {"cone": "pyramidal"}),

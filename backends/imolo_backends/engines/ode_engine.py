@@ -14,7 +14,8 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import check_value, fill
-from imolo_backends.engines.ode_model import OdeRobot, make_ball, ode, sliding
+from imolo_backends.engines.ode_library import ode
+from imolo_backends.engines.ode_model import OdeRobot, make_ball, sliding
 from imolo_backends.simulation.simulated import simulated_plugin
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
@@ -217,8 +218,8 @@ LIMITATIONS = (
 BACKEND = simulated_plugin(
     OdeEngine,
     OdeOptions,
-    "ODE, the paper's: exact LCP, friction pyramid turned along the slide",
-    LIMITATIONS,
+    summary="ODE, the paper's: exact LCP, friction pyramid turned along the slide",
+    limitations=LIMITATIONS,
     ingredients={
         "friction cone": ({"friction": "sliding"}, {"friction": "pyramid"}),
         "contact stiffness": ({"contact_erp": 0.02}, {"contact_erp": 0.2}, {"contact_erp": 1e-6}),

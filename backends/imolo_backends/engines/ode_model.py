@@ -9,14 +9,8 @@ from imolo.contracts.engine import Array, Ball, Scene
 from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.engine_checks import Body, base_rotation, check_value, fill
+from imolo_backends.engines.ode_library import ode
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
-
-try:
-    import ode as ode
-
-    ode.HingeJoint  # noqa: B018 - PyPI has another package of this name
-except (ImportError, AttributeError) as error:
-    raise ImportError(f"{error}; get the Open Dynamics Engine with `make ode` in imolo's source folder") from error
 
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10

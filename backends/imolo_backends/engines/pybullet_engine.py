@@ -16,10 +16,11 @@ from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import BallWatch, base_com_velocity, fill, rotation_matrices, turned_inertia
-from imolo_backends.engines.quiet_import import import_quietly
+from imolo_backends.engines.quiet_import import quiet_imports
 from imolo_backends.simulation.simulated import simulated_plugin
 
-pybullet = import_quietly("pybullet")  # it prints its build time
+with quiet_imports():  # it prints its build time
+    import pybullet
 
 BASE, BALL = -1, "the ball"
 # [-] Bullet multiplies the restitutions of two bodies. With this on everything but the ball, and its inverse times the
@@ -81,7 +82,6 @@ class PybulletEngine(EngineAdapter):
         self._ball = self._add_body(pybullet.GEOM_SPHERE, ball.position, ball.mass, radius=ball.radius)
         self._set_dynamics()
         self._set_start()
-
         self._links_without_base = [self._link_index[name] for name in scene.link_names[1:]]
         self._watch = BallWatch(scene)
         return self._loaded(robot)
@@ -219,8 +219,8 @@ LIMITATIONS = (
 BACKEND = simulated_plugin(
     PybulletEngine,
     PybulletOptions,
-    "PyBullet: sequential impulses",
-    LIMITATIONS,
+    summary="PyBullet: sequential impulses",
+    limitations=LIMITATIONS,
     ingredients={
         "friction cone": ({"cone_friction": True}, {"cone_friction": False}),
         "contact stiffness": ({"contact_erp": 0.002}, {"contact_erp": 0.02}, {"contact_erp": 0.2}),

@@ -218,8 +218,8 @@ LIMITATIONS = (
 BACKEND = simulated_plugin(
     SapienEngine,
     SapienOptions,
-    "SAPIEN: PhysX 5 on the CPU, single precision",
-    LIMITATIONS,
+    summary="SAPIEN: PhysX 5 on the CPU, single precision",
+    limitations=LIMITATIONS,
     ingredients={
         "solver": (
             {"position_iterations": 50, "velocity_iterations": 50},

@@ -121,7 +121,7 @@ DAMPED = "contacts are critically damped, whatever is asked for"
 BACKEND = simulated_plugin(
     MyEngine,
     MyOptions,
-    "one line for `imolo backends`",
-    [Limitation(DAMPED, {"restitution_asked": tuple(f"e got for {e} asked" for e in (0, 0.3, 0.5, 0.8))})],
+    summary="one line for `imolo backends`",
+    limitations=[Limitation(DAMPED, {"restitution_asked": tuple(f"e got for {e} asked" for e in (0, 0.3, 0.5, 0.8))})],
     ingredients={"contact stiffness": ({"contact_time": 0.002}, {"contact_time": 0.02})},
 )
