@@ -1,6 +1,9 @@
 """The robot in ODE: its bodies, hinges and shapes, built from the URDF, for which ODE has no loader."""
 
 import math
+import shlex
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,10 @@ try:
 
     ode.HingeJoint  # noqa: B018 - PyPI has another package of this name
 except (ImportError, AttributeError) as error:
-    raise ImportError(f"{error}; get the Open Dynamics Engine with `make ode` in imolo's source folder") from error
+    get = shlex.join(["bash", str(Path(__file__).with_name("get_ode")), sys.executable])
+    raise ImportError(
+        f"{error}; PyPI has no wheel of the Open Dynamics Engine, Debian has one for its own version of Python: {get}"
+    ) from error
 
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10
