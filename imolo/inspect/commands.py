@@ -129,6 +129,10 @@ def export(
 
     for path in write(log, ExportFormat(to), out, trial):
         say(str(path))
+    if to == "mcap":
+        from imolo.inspect.mcap_export import LAYOUT
+
+        say(f"layout for Foxglove: {LAYOUT}")
 
 
 @app.command()
