@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import typer.main
-from command_line import IMOLO, Run, is_one_line_about
+from command_line import IMOLO, Run, interrupt, is_one_line_about
 
 from imolo.command_line.main import app
 
@@ -99,6 +99,16 @@ def test_version_is_that_of_the_distribution(program: str, tmp_path: Path) -> No
     command = [IMOLO] if program == "imolo" else [sys.executable, "-m", "imolo"]
     ended = subprocess.run([*command, "--version"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert ended.stdout == f"imolo {version('imolo')}\n"
+
+
+@pytest.mark.parametrize("command", ["record", "throw", "top"])
+def test_interrupted_command_that_waits_ends_with_130(command: str, tmp_path: Path) -> None:
+    def is_on_the_bus(process: int) -> bool:
+        return "lcm" in Path(f"/proc/{process}/maps").read_text(encoding="utf-8")
+
+    code, errors = interrupt(tmp_path, is_on_the_bus, command, "--bus", "memq://")
+    assert code == 130
+    assert "Traceback" not in errors
 
 
 def test_shell_completes_commands_and_choices() -> None:
