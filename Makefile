@@ -23,7 +23,7 @@ demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
 	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo --fresh
 
 ode: $(READY) ## Add ODE, the paper's engine, from Debian's packages; no root needed.
-	tools/get_ode
+	bash backends/imolo_backends/engines/get_ode $(BIN)/python
 
 test: $(VIEWERS) ## Run the tests, the long matrices left out.
 	$(BIN)/python -m pytest -m "not slow" -n auto

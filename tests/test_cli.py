@@ -1,33 +1,123 @@
 """The command line as a whole: its help, and how it tells of mistakes."""
 
+import os
 import subprocess
 import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import pytest
-from command_line import Run, is_one_line_about
+import typer.main
+from command_line import IMOLO, Run, interrupt, is_one_line_about
 
-COMMANDS = (
-    *("backends", "check"),
-    *("compare", "learn", "hit", "ball", "interpolation", "transfer", "trials", "attribute", "report"),
-    *("backend", "planner", "record", "throw", "up"),
-    *("spy", "top", "replay", "diff", "export", "plot", "view"),
-    *("board", "arm", "disarm", "calibrate", "emulate"),
-)
+from imolo.command_line.main import app
+
+GROUPS = {
+    "Start": ("backends", "robots", "config", "new", "check"),
+    "Compare": ("compare", "learn", "hit"),
+    "Study": ("ball", "interpolation", "transfer", "trials", "attribute", "identify"),
+    "Live": ("backend", "planner", "record", "throw", "up"),
+    "Look": ("report", "spy", "top", "replay", "diff", "export", "plot", "view"),
+    "Robot": ("board", "arm", "disarm", "calibrate", "emulate"),
+}
+COMMANDS: Any = typer.main.get_command(app)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+def parameters() -> list[tuple[str, Any]]:
+    """Return every option of every command, the commands in `new` included, beside the command's name."""
+    inner = [(f"new {name}", command) for name, command in COMMANDS.commands["new"].commands.items()]
+    return [
+        (name, parameter)
+        for name, command in (*COMMANDS.commands.items(), *inner)
+        for parameter in command.params
+        if parameter.param_type_name == "option"
+    ]
+
+
+@pytest.mark.parametrize("command", [name for names in GROUPS.values() for name in names])
 def test_help_of_every_command_explains_it(run: Run, command: str) -> None:
     code, output, _ = run(command, "--help")
     assert code == 0
     assert f"Usage: imolo {command}" in output
+    assert max(map(len, output.splitlines())) <= 80
 
 
-def test_help_names_every_command_beside_those_of_its_subject(run: Run) -> None:
+def test_help_names_every_command_in_its_group_with_one_whole_line(run: Run) -> None:
     code, output, _ = run("--help")
     assert code == 0
-    named = [line.split()[0] for line in output.partition("Commands:")[2].splitlines() if line.strip()]
+    listed = output[output.index("\nStart:\n") :]
+    assert "..." not in listed
+    assert "…" not in listed
+    found: dict[str, list[str]] = {}
+    for line in listed.splitlines():
+        assert len(line) <= 80
+        if line and not line.startswith(" "):
+            group = found.setdefault(line.rstrip(":"), [])
+        elif line:
+            name, _, summary = line.strip().partition(" ")
+            assert summary.strip().endswith("."), line  # the sentence ends where the line does
+            group.append(name)
     # Other distributions may add theirs.
-    assert [name for name in named if name in COMMANDS] == list(COMMANDS)
+    assert {title: tuple(found[title][: len(names)]) for title, names in GROUPS.items()} == GROUPS
+
+
+def test_one_thing_has_one_name_over_all_commands() -> None:
+    names: dict[str, set[str]] = {}
+    for command, parameter in parameters():
+        names.setdefault(parameter.opts[0], set()).add(command)
+    assert not names.keys() & {"--url", "--throws", "--trials"}
+    assert names["--bus"] >= {"spy", "top", "view", "up", "backend", "planner", "record", "throw"}
+    assert names["--balls"] >= {"compare", "hit", "transfer", "ball", "up"}
+    assert names["--numbers"] == {"interpolation", "trials"}
+
+
+@pytest.mark.parametrize(
+    ("command", "choices"),
+    [
+        ("up", "<lockstep|realtime>"),
+        ("backend", "<lockstep|realtime>"),
+        ("export", "<mcap|csv|parquet>"),
+        ("ball", "--units m|cm|mm "),
+        ("ball", "--time s|ms|us|ns "),
+        ("ball", "--up z|-z|y|-y|x|-x "),
+        ("ball", "--models linear,drag,spin "),
+    ],
+)
+def test_help_shows_what_can_be_chosen(run: Run, command: str, choices: str) -> None:
+    assert choices in run(command, "--help")[1]
+
+
+def test_what_cannot_be_chosen_is_refused_with_what_can(run: Run) -> None:
+    code, _, errors = run("export", "any.lcmlog", "--to", "parket")
+    assert code == 2
+    assert "'parket' is not one of 'mcap', 'csv', 'parquet'" in errors
+
+
+@pytest.mark.parametrize("program", ["imolo", "-m imolo"])
+def test_version_is_that_of_the_distribution(program: str, tmp_path: Path) -> None:
+    command = [IMOLO] if program == "imolo" else [sys.executable, "-m", "imolo"]
+    ended = subprocess.run([*command, "--version"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert ended.stdout == f"imolo {version('imolo')}\n"
+
+
+@pytest.mark.parametrize("command", ["record", "throw", "top"])
+def test_interrupted_command_that_waits_ends_with_130(command: str, tmp_path: Path) -> None:
+    def is_on_the_bus(process: int) -> bool:
+        return "lcm" in Path(f"/proc/{process}/maps").read_text(encoding="utf-8")
+
+    code, errors = interrupt(tmp_path, is_on_the_bus, command, "--bus", "memq://")
+    assert code == 130
+    assert "Traceback" not in errors
+
+
+def test_shell_completes_commands_and_choices() -> None:
+    def complete(line: str) -> str:
+        asked = {"_IMOLO_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()))}
+        return subprocess.run([IMOLO], env={**os.environ, **asked}, capture_output=True, text=True, check=True).stdout
+
+    assert "interpolation" in complete("imolo ").split()
+    assert set(complete("imolo export --to ").split()) == {"mcap", "csv", "parquet"}
 
 
 def test_backends_are_listed_without_importing_an_engine() -> None:

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from imolo.command_line.options import Config
+
 app = typer.Typer()
 
 BOARD = "127.0.0.1:7705"  # `imolo_drivers.board.server.PORT`
@@ -17,7 +19,7 @@ EMULATED_TIMESTEP = 2.5e-4  # [s] a third of a core for MuJoCo; a YAML may ask f
 BoardAddress = Annotated[str, typer.Argument(metavar="HOST[:PORT]", help="Where the valve board listens.")]
 Listen = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen for the planner's computer.")]
 Secret = Annotated[Path | None, typer.Option(metavar="FILE", help="What the board must know, too; mode 0600.")]
-Person = Annotated[str, typer.Option(help="Who, for the log of the board [default: the user].")]
+Person = Annotated[str, typer.Option(help="Who, for the log of the board.", show_default="the user")]
 
 
 @app.command()
@@ -27,9 +29,10 @@ def board(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but move.")] = False,
     vent: Annotated[bool, typer.Option("--vent", help="Give all channels 0 and end, after a board that died.")] = False,
 ) -> None:
-    """Run the valve board: follow commands, tell pressures, vent when control is lost.
+    """Run the valve board, which vents when control is lost.
 
-    Without a config its valves are simulated. It moves nothing before a person says `imolo arm`.
+    It follows commands and tells pressures. Without a config its valves are simulated. It moves nothing before a
+    person says `imolo arm`.
     """
     from imolo.config.reading import read_model
     from imolo.live.program import Console, in_background, until_stopped
@@ -62,9 +65,10 @@ def board(
 
 @app.command()
 def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None) -> None:
-    """Allow the controller that is connected now to move the robot; asks before.
+    """Allow the connected controller to move the robot.
 
-    Valid for that connection alone: after every loss of the link, and for every trial, a person arms again.
+    Asks before. Valid for that connection alone: after every loss of the link, and for every trial, a person arms
+    again.
     """
     from imolo.errors import BackendError
     from imolo_drivers.address import parse_address
@@ -88,7 +92,8 @@ def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None)
     limits = sorted({f"{channel.target_limit:g} {channel.channel_unit}" for channel in welcome.board_channels})
     channels = f"{welcome.num_board_channels} channels, up to {', '.join(limits)}"
     typer.echo(quote(f"controller: {welcome.controller_name}; {channels}", LONGEST_LINE))
-    if typer.prompt("Is everybody clear of the robot? Type 'arm' to arm it", default="", show_default=False) != "arm":
+    # Not typer's prompt, after which Ctrl-C would be an exit code of 1.
+    if input("Is everybody clear of the robot? Type 'arm' to arm it: ") != "arm":
         raise BackendError("not armed")
     client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
     client.wait(lambda: client.state.state_number > 0, PATIENCE)
@@ -110,7 +115,10 @@ def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None)
 
 @app.command()
 def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
-    """Vent the robot and take the permission to move back, at once; needs no secret."""
+    """Vent the robot and take the permission to move back, at once.
+
+    Needs no secret.
+    """
     from imolo_drivers.address import parse_address
     from imolo_drivers.board.client import disarm as vent
 
@@ -122,21 +130,22 @@ def disarm(where: BoardAddress = BOARD, person: Person = "") -> None:
 @app.command()
 def calibrate(
     config: Annotated[
-        Path, typer.Argument(help="YAML with `backend: {name: hardware}`, such as configs/hardware.yaml.")
+        str, typer.Argument(metavar="CONFIG", help="A YAML with `backend: {name: hardware}`, or hardware.")
     ],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the calibration here.")] = None,
     seconds: Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to watch the robot.")] = 2.0,
 ) -> None:
-    """Find where the cameras' frame lies, from the markers of the robot at rest in its ready pose.
+    """Find where the cameras' frame lies, from the robot at rest.
 
-    Prints how far each marker is from where it should be, and what to put into the config.
+    The robot is in its ready pose. Prints how far each marker is from where it should be, and what to put into the
+    config.
     """
-    from imolo.config.loading import backend_options, body_of, load_config
+    from imolo.config.loading import backend_options, body_of, named_config
     from imolo.errors import ConfigError
     from imolo_drivers.calibrate import calibrate as watch_and_fit
     from imolo_drivers.hardware_backend import HardwareOptions
 
-    chosen = load_config(config)
+    chosen = named_config(config)
     options = backend_options(chosen)
     if not isinstance(options, HardwareOptions):
         raise ConfigError(f"{config} is for {chosen.backend.name!r}, which has no cameras; name the backend hardware")
@@ -153,7 +162,7 @@ def calibrate(
 
 @app.command()
 def emulate(
-    engine: Annotated[str, typer.Argument(help="A simulated backend by name, or a YAML that configures it.")],
+    engine: Config,
     listen: Listen = BOARD,
     motive: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where Motive is to answer.")] = MOTIVE,
     armed: Annotated[bool, typer.Option("--armed", help="Arm every trial at once, in the place of a person.")] = False,
@@ -162,11 +171,11 @@ def emulate(
     ] = None,
     secret: Secret = None,
 ) -> None:
-    """Be the robot on the network: valve board and motion capture, with an engine behind them in real time.
+    """Be the robot on the network, with an engine behind.
 
-    For `backend: hardware` where no robot is at hand; see configs/hardware.yaml.
+    Valve board and motion capture, in real time. For `backend: {name: hardware}` where no robot is at hand.
     """
-    from imolo.config.loading import config_for, load_config
+    from imolo.config.loading import named_config
     from imolo.live.program import Console, in_background, until_stopped
     from imolo.machine.priority import BOARD_PRIORITY, claim_priority
     from imolo_drivers.address import parse_address
@@ -175,10 +184,7 @@ def emulate(
     from imolo_drivers.natnet.calibration import Calibration
     from imolo_drivers.natnet.config import NatNetServerConfig
 
-    if engine.endswith((".yaml", ".yml")):
-        config = load_config(Path(engine))
-    else:
-        config = config_for(engine, simulation={"timestep": EMULATED_TIMESTEP})
+    config = named_config(engine, simulation={"timestep": EMULATED_TIMESTEP})
     host, port = parse_address(motive, MOTIVE_PORT)
     cameras = NatNetServerConfig.model_validate({"address": host, "command_port": port})
     with until_stopped() as stop, in_background(Console("emulate").say) as say:

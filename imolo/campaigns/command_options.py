@@ -13,9 +13,13 @@ if TYPE_CHECKING:
     from imolo.campaigns.results import ResultsFolder
     from imolo.config.experiment import ExperimentConfig
 
-ConfigPaths = Annotated[
-    list[Path] | None,
-    typer.Argument(help="One YAML per backend, alike but for the backend [default: every backend that is ready]."),
+Configs = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="CONFIG",
+        help="Backends by name, or YAMLs that are alike but for the backend.",
+        show_default="every backend that is ready",
+    ),
 ]
 Out = Annotated[Path, typer.Option(help="Results folder.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the seed of the configs.")]
@@ -26,18 +30,18 @@ Scheduler = Annotated[
 ]
 
 
-def load_configs(paths: Sequence[Path] | None) -> "list[ExperimentConfig]":
+def load_configs(configs: Sequence[str] | None) -> "list[ExperimentConfig]":
     """Read the configs that are named; where none is, return that of every simulated backend that is ready.
 
     Raises:
         ConfigError: A config cannot be used.
         BackendNotFoundError: A backend is unknown or not installed, or none is ready.
     """
-    from imolo.config.loading import config_for, load_config
+    from imolo.config.loading import config_for, named_config
     from imolo.contracts.registry import ready_simulations
 
-    if paths:
-        return [load_config(path) for path in paths]
+    if configs:
+        return [named_config(config) for config in configs]
     return [config_for(name) for name in ready_simulations()]
 
 

@@ -7,7 +7,7 @@ import typer
 
 from imolo.campaigns.command_options import (
     Balls,
-    ConfigPaths,
+    Configs,
     Fresh,
     Out,
     Scheduler,
@@ -17,8 +17,8 @@ from imolo.campaigns.command_options import (
     open_results,
     override,
 )
-from imolo.command_line.options import CORES, ConfigPath, Jobs, Method
-from imolo.command_line.terminal import ProgressBars, console, say
+from imolo.command_line.options import CORES, Config, Jobs, Method
+from imolo.command_line.terminal import ProgressBars, say, show
 from imolo.errors import ConfigError, did_you_mean
 
 app = typer.Typer()
@@ -26,7 +26,7 @@ app = typer.Typer()
 
 @app.command()
 def compare(
-    configs: ConfigPaths = None,
+    configs: Configs = None,
     ensemble: Annotated[
         Path | None, typer.Option(help="Do it with every robot of this file; `imolo identify` writes one.")
     ] = None,
@@ -37,7 +37,7 @@ def compare(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Learn the motions, throw balls and hit them on every backend, then compare.
+    """Learn motions, throw balls, hit them; compare the backends.
 
     Writes logs, tables, resolved configs, figures, summary.json and timing.json to the results folder.
     """
@@ -51,20 +51,20 @@ def compare(
         members = read_ensemble(ensemble)
         with ProgressBars(kept_in(out)) as bars:
             over = compare_ensemble(chosen, members, ResultsFolder(out), jobs, bars.show, fresh)
-        console.print(render_ensemble(over))
+        show(render_ensemble(over))
         say(f"ensemble.json and a folder for each of the {len(members)} members are in {out}")
         return
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
-    console.print(summary.render_comparison(result, timings.timing, chosen[0]))
+    show(summary.render_comparison(result, timings.timing, chosen[0]))
     figures.draw_all(result, chosen, folder)
     say(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
 
 
 @app.command()
 def learn(
-    config: ConfigPath,
+    config: Config,
     motions: Annotated[
         int | None,
         typer.Option(
@@ -78,12 +78,15 @@ def learn(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Learn balls and motions on one backend and build the table of each method."""
+    """Learn balls and motions on one backend, and build its tables.
+
+    There is one table for each method of the config.
+    """
     from imolo.campaigns import comparison
-    from imolo.config.loading import load_config
+    from imolo.config.loading import named_config
     from imolo.trials.learning import spread_motions
 
-    chosen = override(load_config(config), seed=seed, scheduler=scheduler)
+    chosen = override(named_config(config), seed=seed, scheduler=scheduler)
     if motions is not None:
         training = chosen.training.model_copy(update={"motions": spread_motions(chosen, motions)})
         chosen = chosen.model_copy(update={"training": training})
@@ -96,7 +99,7 @@ def learn(
 
 @app.command()
 def hit(
-    config: ConfigPath,
+    config: Config,
     table: Annotated[Path, typer.Argument(help="Table that `imolo learn` or `imolo compare` wrote, on any backend.")],
     method: Method = "improved",
     out: Out = Path("results/hit"),
@@ -106,12 +109,15 @@ def hit(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Throw balls on one backend and hit them with a table, perhaps learned on another backend."""
+    """Throw balls on one backend and hit them with a table.
+
+    The table may have been learned on another backend.
+    """
     from imolo.campaigns import comparison, summary
-    from imolo.config.loading import load_config
+    from imolo.config.loading import named_config
     from imolo.method.table import LookupTable
 
-    chosen = override(load_config(config), seed=seed, balls=balls, scheduler=scheduler)
+    chosen = override(named_config(config), seed=seed, balls=balls, scheduler=scheduler)
     if method not in chosen.methods:
         raise ConfigError(
             f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
@@ -123,6 +129,6 @@ def hit(
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_config(chosen)
     folder.save_json("summary.json", comparison.summarise({name: chosen}, results, disagreement={}))
-    console.print(summary.render_results(results, timing, chosen))
-    console.print(summary.render_causes(results))
+    show(summary.render_results(results, timing, chosen))
+    show(summary.render_causes(results))
     say(f"logs, config and summary.json are in {out}")

@@ -1,18 +1,18 @@
-"""The command line: the commands of every folder under one name, and `imolo backends`."""
+"""The command line: the commands of every folder under one name, and those that tell of plug-ins."""
 
 import logging
 import sys
 import warnings
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, version
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
+from typer.core import TyperGroup
 
 from imolo.campaigns import commands as campaign_commands
-from imolo.command_line.terminal import INTERRUPTED, complain, console
+from imolo.command_line.options import Config
+from imolo.command_line.terminal import INTERRUPTED, complain, show
 from imolo.conformance import commands as conformance_commands
 from imolo.errors import ImoloError
 from imolo.identification import commands as identification_commands
@@ -23,39 +23,58 @@ from imolo.scaffold import commands as scaffold_commands
 from imolo.studies import commands as study_commands
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from imolo.contracts.registry import Registry
 
+START = "Start"
+
+
+class CommandGroups(TyperGroup):
+    """Lists its commands under the headings that they were given, one line each."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list; a line ends with the first sentence of the help, whatever its length."""
+        width = max(map(len, self.commands))
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            summary = (name.ljust(width), command.get_short_help_str(formatter.width))
+            groups.setdefault(getattr(command, "rich_help_panel", None) or START, []).append(summary)
+        for title, summaries in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(summaries)
+
+
 app = typer.Typer(
+    cls=CommandGroups,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Robots that hit or catch a flying ball by a lookup table of learned dynamics (IMoLo), compared across "
     "physics engines over LCM.",
 )
-# In the order of `--help`, which must be quick: a command imports what it needs when it is called, since scikit-learn,
-# numba and matplotlib take seconds.
-for _commands in (
-    conformance_commands,
-    campaign_commands,
-    study_commands,
-    identification_commands,
-    report_commands,
-    live_commands,
-    inspect_commands,
-    scaffold_commands,
-):
-    app.add_typer(_commands.app)
-for _installed in entry_points(group="imolo.commands"):
-    app.add_typer(_installed.load())
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"imolo {version('imolo')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Show the version and exit.")
+    ] = False,
+) -> None: ...
 
 
 @app.command()
 def backends() -> None:
-    """List the backends that are installed, and what is missing for the others."""
+    """List the backends, and how to get those that are missing."""
     from imolo.contracts.registry import BACKENDS
 
-    console.print(_plugins(BACKENDS))
+    show(_plugins(BACKENDS))
 
 
 @app.command()
@@ -64,10 +83,50 @@ def robots() -> None:
     from imolo.contracts.registry import PLANNERS, ROBOTS, TASKS
 
     for registry in (ROBOTS, TASKS, PLANNERS):
-        console.print(_plugins(registry))
+        show(_plugins(registry))
 
 
-def _plugins(registry: "Registry[Any]") -> Table:
+@app.command()
+def config(
+    name: Config,
+    robot: Annotated[str | None, typer.Option(help="Robot, where a backend is named.")] = None,
+) -> None:
+    """Write every setting on a backend as YAML with comments.
+
+    imolo config mujoco > my.yaml is what to begin with; of a YAML of yours, what it leaves out is there with its
+    default.
+    """
+    from imolo.config.commented import commented
+    from imolo.config.loading import is_config_file, named_config
+    from imolo.errors import ConfigError
+
+    if robot and is_config_file(name):
+        raise ConfigError(f"{name} says which robot it is for; --robot goes with the name of a backend")
+    typer.echo(commented(named_config(name, **({"robot": {"name": robot}} if robot else {}))), nl=False)
+
+
+# In the order of `--help`, which must be quick: a command imports what it needs when it is called, since scikit-learn,
+# numba and matplotlib take seconds.
+for _group, _commands in (
+    (START, scaffold_commands.app),
+    (START, conformance_commands.app),
+    ("Compare", campaign_commands.app),
+    ("Study", study_commands.app),
+    ("Study", identification_commands.app),
+    ("Live", live_commands.app),
+    ("Look", report_commands.app),
+    ("Look", inspect_commands.app),
+    *((_installed.name.capitalize(), _installed.load()) for _installed in entry_points(group="imolo.commands")),
+):
+    for _command in (*_commands.registered_commands, *_commands.registered_groups):
+        _command.rich_help_panel = _group
+    app.add_typer(_commands)
+
+
+def _plugins(registry: "Registry[Any]") -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False)
     for title in (registry.kind, "state", "about"):
         table.add_column(title)

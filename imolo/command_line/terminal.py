@@ -1,12 +1,19 @@
-"""How commands speak to the user: lines, complaints, progress bars."""
+"""How commands speak to the user: lines, tables, complaints, progress."""
 
+import threading
 from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.progress import TaskID
 
 INTERRUPTED = 130  # exit code after Ctrl-C, as of a shell
+PERIOD = 10.0  # [s] between two lines on progress where there is no terminal
 
 console = Console()
 errors = Console(stderr=True)
@@ -22,13 +29,23 @@ def say(text: str) -> None:
     console.print(plain(text), highlight=False, markup=False, soft_wrap=True)
 
 
+def show(renderable: "RenderableType") -> None:
+    """Print tables; columns for which the terminal is too narrow are left out, and named."""
+    from imolo.command_line.tables import fit
+
+    console.print(fit(renderable, console))
+
+
 def complain(text: str) -> None:
     """Print one line about what is wrong to the standard error stream."""
     errors.print(f"imolo: {plain(text)}", highlight=False, markup=False, soft_wrap=True)
 
 
 class ProgressBars:
-    """Progress bars, one for each thing under way; Ctrl-C ends in one line that says how far things were."""
+    """Bars, one for each thing under way; where the output is no terminal, a line now and then and one at the end.
+
+    Ctrl-C ends in one line that says how far things were.
+    """
 
     def __init__(self, state: Callable[[], str]) -> None:
         """Show bars while the context is open.
@@ -37,23 +54,50 @@ class ProgressBars:
             state: Says how far things are, for the line after Ctrl-C.
         """
         self._state = state
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console
-        )
-        self._tasks: dict[str, TaskID] = {}
+        self._counts: dict[str, tuple[int, int]] = {}
+        self._end = threading.Event()
+        self._open = ExitStack()
+        self._show: Callable[[str, int, int], None] = lambda *_: None
 
     def __enter__(self) -> "ProgressBars":
-        self._progress.start()
+        if console.is_terminal:
+            self._show = _bars(self._open)
+        else:
+            lines = threading.Thread(target=self._tell, daemon=True)
+            lines.start()
+            self._open.callback(lines.join)
+            self._open.callback(self._end.set)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._progress.stop()
+        self._open.close()
         if kind is KeyboardInterrupt:
             complain(f"interrupted; {self._state()}")
             raise typer.Exit(INTERRUPTED)
 
     def show(self, what: str, done: int, total: int) -> None:
         """Show how far something is."""
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done, total=total)
+        self._counts[what] = done, total
+        self._show(what, done, total)
+
+    def _tell(self) -> None:
+        ended = False
+        while not ended:
+            ended = self._end.wait(PERIOD)
+            counts = [f"{what} {done}/{total}" for what, (done, total) in list(self._counts.items())]
+            say(", ".join(counts) or "at work")
+
+
+def _bars(stack: ExitStack) -> Callable[[str, int, int], None]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    bars = stack.enter_context(Progress(*columns, console=console))
+    tasks: dict[str, TaskID] = {}
+
+    def show(what: str, done: int, total: int) -> None:
+        if what not in tasks:
+            tasks[what] = bars.add_task(what, total=total)
+        bars.update(tasks[what], completed=done, total=total)
+
+    return show

@@ -22,7 +22,7 @@ MethodName = Annotated[str, Field(pattern=r"^\w[\w .+-]{0,62}$")]
 
 
 class PluginConfig(Model):
-    """Which plug-in; every other key is an option of that plug-in and checked by it."""
+    """Which plug-in; every other key is an option of that plug-in."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

@@ -29,6 +29,26 @@ def load_config(path: Path) -> ExperimentConfig:
     return make_config(read_yaml(path, LEAST), str(path))
 
 
+def is_config_file(text: str) -> bool:
+    """Return whether what stands where a command takes a config is the path of a file, and not a backend's name."""
+    path = Path(text)
+    return path.suffix in (".yaml", ".yml") or len(path.parts) != 1 or (path.is_file() and text not in BACKENDS.names())
+
+
+def named_config(text: str, **settings: Any) -> ExperimentConfig:
+    """Return the config that a command is given.
+
+    Args:
+        text: The path of a YAML, or the name of a backend, which stands for all defaults on it.
+        settings: What other sections are given beside a name.
+
+    Raises:
+        ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
+        BackendNotFoundError: A plug-in is unknown or not installed.
+    """
+    return load_config(Path(text)) if is_config_file(text) else config_for(text, **settings)
+
+
 def make_config(content: Mapping[str, Any], where: str = "the config") -> ExperimentConfig:
     """Check settings, after what the robot says of those that are not given.
 

@@ -1,16 +1,21 @@
 """Read a model from YAML, and say in one line what is wrong with it."""
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import to_json
+from pydantic_core import ErrorDetails, to_json
 
 from imolo.config.yaml_file import MOST_QUOTED, YamlError, load_yaml
 from imolo.errors import ConfigError, did_you_mean
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
+Place = tuple[int | str, ...]
+
+UNKNOWN = "extra_forbidden"  # pydantic's name for a key that is not known
 
 MOVED = {
     "simulation.pneumatics": "simulation.actuators",
@@ -87,13 +92,14 @@ def check_model(content: Mapping[str, Any], model: type[AnyModel], where: str) -
 
 
 def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
-    """Return one line that names the first wrong key or value, and the nearest right key."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _keys_beside(model, first["loc"])
-        moved = MOVED.get(".".join(str(part) for part in first["loc"][-2:]))
-        hint = f"; it is now {moved}" if moved else did_you_mean(str(first["loc"][-1]), known)
+    """Return one line that names the first wrong key or value, the nearest right key, and how many more there are."""
+    mistakes = _mistakes(error, model)
+    place, first = next(((at, one) for at, one in mistakes if one["type"] == UNKNOWN), mistakes[0])
+    key = ".".join(map(str, place))
+    if first["type"] == UNKNOWN:
+        known = _known_keys(model, first["loc"])
+        moved = MOVED.get(".".join(map(str, place[-2:])))
+        hint = f"; it is now {moved}" if moved else did_you_mean(str(place[-1]), known)
         message = f"unknown key {_short(key)}{hint}"
         if known:
             message += f" (known: {', '.join(known)})"
@@ -106,8 +112,30 @@ def explain(error: ValidationError, model: type[BaseModel], where: str) -> str:
         message = f"{value}: {reason}" if key else reason
         if first["type"] == "bool_type":
             message += "; write true or false"
-    others = len(error.errors()) - 1
+    others = len(mistakes) - 1
     return f"{where}: {message}" + (f" (and {others} more)" if others else "")
+
+
+def _mistakes(error: ValidationError, model: type[BaseModel]) -> list[tuple[Place, ErrorDetails]]:
+    """Return what the author has to mend, by place; what only follows from another mistake is none.
+
+    A list is too short because its elements are wrong, every branch of a union complains for itself, and a key is
+    missing where it was misspelt.
+    """
+    found: dict[Place, ErrorDetails] = {}
+    for each in error.errors():
+        found.setdefault(tuple(part for part, _ in _path(model, each["loc"])), each)
+    inner = {place for other in found for place in (other[:length] for length in range(len(other)))}
+    unknown = [place for place, each in found.items() if each["type"] == UNKNOWN]
+    meant = {
+        (*place[:-1], *get_close_matches(str(place[-1]), _known_keys(model, found[place]["loc"]), n=1))
+        for place in unknown
+    }
+    return [
+        (place, each)
+        for place, each in found.items()
+        if place not in inner and not (each["type"] == "missing" and place in meant)
+    ]
 
 
 def _short(value: Any) -> str:
@@ -115,15 +143,41 @@ def _short(value: Any) -> str:
     return text if len(text) <= MOST_QUOTED else f"{text[:MOST_QUOTED]} ..."
 
 
-def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that are known where `location` ends."""
+def _known_keys(model: type[BaseModel], location: Place) -> list[str]:
+    """Return the keys that are known where a location ends."""
+    path = _path(model, location)
+    return sorted(getattr(path[-1][1], "model_fields", {})) if path else []
+
+
+def _path(model: type[BaseModel], location: Place) -> list[tuple[int | str, Any]]:
+    """Return the keys and indices that lead to a location, each beside the type that it is looked up in.
+
+    pydantic's locations name the branches of unions as well, which no author of a file knows.
+    """
+    path: list[tuple[int | str, Any]] = []
     current: Any = model
-    for part in location[:-1]:
-        if get_origin(current) is dict:
-            current = get_args(current)[1]
+    for part in location:
+        branches = _branches(current)
+        if len(branches) > 1:
+            current = next((branch for branch in branches if getattr(branch, "__name__", None) == part), None)
             continue
-        fields = getattr(current, "model_fields", {})
-        if part not in fields:
-            return []
-        current = fields[part].annotation
-    return sorted(getattr(current, "model_fields", {}))
+        current = branches[0] if branches else None
+        path.append((part, current))
+        arguments = get_args(current)
+        if get_origin(current) is dict:
+            current = arguments[1]
+        elif isinstance(part, int) and arguments:
+            current = arguments[0] if arguments[-1] is Ellipsis or part >= len(arguments) else arguments[part]
+        else:
+            field = getattr(current, "model_fields", {}).get(part)
+            current = None if field is None else field.annotation
+    return path
+
+
+def _branches(annotation: Any) -> list[Any]:
+    """Return the types that a value may have, without None and what is said about them."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) not in (Union, UnionType):
+        return [annotation]
+    return [branch for each in get_args(annotation) if each is not NoneType for branch in _branches(each)]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from imolo.command_line.options import CORES, Jobs
-from imolo.command_line.terminal import ProgressBars, console, say
+from imolo.command_line.terminal import ProgressBars, say, show
 
 app = typer.Typer()
 
@@ -16,8 +16,9 @@ def check(
     engines: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Backends by name, or YAMLs whose backend section gives name and options [default: every one that is "
-            "ready].",
+            metavar="CONFIG",
+            help="Backends by name, or YAMLs whose backend section gives name and options.",
+            show_default="every backend that is ready",
         ),
     ] = None,
     only: Annotated[
@@ -32,9 +33,10 @@ def check(
     ] = None,
     jobs: Jobs = CORES,
 ) -> None:
-    """Put engines, or a robot in them, through scenes whose truth is known, and report what they measure.
+    """Put engines or a robot through scenes whose truth is known.
 
-    A scene that crashes or hangs fails; the others go on. Exit code 1 if anything fails, not for warnings.
+    Reports what they measure. A scene that crashes or hangs fails; the others go on. Exit code 1 if anything
+    fails, not for warnings.
     """
     from imolo.conformance import page as pages
     from imolo.conformance.check import Verdict
@@ -60,7 +62,7 @@ def check(
 
         outcomes = run_suites(chosen, only or (), jobs, lambda suite, _: count(suite.label))
     records = [record(suite, outcomes[suite.label]) for suite in chosen]
-    console.print(render_report(records))
+    show(render_report(records))
     if json is not None:
         save_records(json, records)
         say(f"numbers are in {json}")

@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 from pathlib import Path
 from typing import Any
 
-from imolo.config.loading import load_config
+from imolo.config.loading import is_config_file, load_config
 from imolo.config.model import Model
 from imolo.conformance.check import Check, Outcome, Verdict, run_check
 from imolo.contracts.backend import BackendPlugin
@@ -116,12 +116,11 @@ def check_names(only: Iterable[str], chosen: Iterable[Suite]) -> None:
 
 
 def _suite(argument: str) -> Suite:
-    path = Path(argument)
-    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1:
+    if not is_config_file(argument):
         BACKENDS.load(argument)
         return Suite(argument, argument)
-    config = load_config(path)
-    return Suite(path.stem, config.backend.name, dict(config.backend.model_extra or {}))
+    config = load_config(Path(argument))
+    return Suite(Path(argument).stem, config.backend.name, dict(config.backend.model_extra or {}))
 
 
 def _packages(entry_point: EntryPoint) -> list[str]:

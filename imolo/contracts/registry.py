@@ -1,17 +1,14 @@
 """Which plug-ins are installed: the entry points of our groups, our own and those of others."""
 
-import platform
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from packaging.requirements import Requirement
-
 from imolo.contracts.unloaded import summary_unloaded
 from imolo.errors import BackendNotFoundError, did_you_mean
+from imolo.machine.extras import how_to_install
 
 # They import what takes a second, and a list of plug-ins does without.
 if TYPE_CHECKING:
@@ -72,7 +69,7 @@ class Registry(Generic[Plugin]):
         try:
             return PluginStatus(name, entry_point.load(), "")
         except ImportError as error:
-            return PluginStatus(name, None, _how_to_install(entry_point, error))
+            return PluginStatus(name, None, _how_to_get(entry_point, error))
 
     def about(self, name: str) -> tuple[str, str]:
         """Return the one line that a plug-in says of itself, and what is missing, empty where nothing is.
@@ -131,18 +128,7 @@ def ready_simulations() -> list[str]:
     return ready
 
 
-def _how_to_install(entry_point: EntryPoint, error: ImportError) -> str:
-    extras = entry_point.dist.metadata.get_all("Provides-Extra") or [] if entry_point.dist else []
+def _how_to_get(entry_point: EntryPoint, error: ImportError) -> str:
     # An optional dependency carries the name of the backend it brings; a backend without one says itself what to do.
-    if entry_point.dist is None or entry_point.name not in extras:
-        return str(error)
-    if not installs(entry_point.name, entry_point.dist.requires or []):
-        return f"{error}; there is none for Python {platform.python_version()}, use an earlier one"
-    return f"{error}; install it with: pip install '{entry_point.dist.name}[{entry_point.name}]'"
-
-
-def installs(extra: str, requirements: Iterable[str]) -> bool:
-    """Return whether an extra brings anything to this Python, on this machine."""
-    markers = [Requirement(text).marker for text in requirements]
-    # What needs no extra is there already.
-    return any(marker.evaluate({"extra": extra}) and not marker.evaluate({"extra": ""}) for marker in markers if marker)
+    advice = how_to_install(entry_point.name, entry_point.dist.requires or ()) if entry_point.dist else ""
+    return f"{error}; {advice}" if advice else str(error)

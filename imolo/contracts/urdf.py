@@ -1,16 +1,16 @@
 """What a URDF says, typed: what every engine must have loaded, and all that an engine without a URDF loader needs.
 
-What belongs to the actuators (damping, friction, effort, speed) is told, and mimic and transmission are passed over: no
-engine acts on them. A mesh stands for its convex hull. A base link named `world` without mass and shapes is the world
-itself and left out with its fixed joint: `Scene` says where the base is, and whether it moves.
+What belongs to the actuators (damping, friction, effort, speed) is told, transmission is passed over, and so is mimic,
+with a warning: no engine acts on them. A mesh stands for its convex hull. A base link named `world` without mass and
+shapes is the world itself and left out with its fixed joint: `Scene` says where the base is, and whether it moves.
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,6 +22,7 @@ from imolo.errors import BackendError, did_you_mean
 JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
 ShapeKind = Literal["box", "sphere", "cylinder", "mesh"]
 WORLD = "world"
+Part = TypeVar("Part")
 THIN = 1e-5  # [-] margin to a plate without thickness, whose largest moment is the sum of the others
 
 logger = logging.getLogger(__name__)
@@ -214,8 +215,8 @@ def read_urdf(path: Path) -> RobotModel:
 def _read(path: Path, content: bytes) -> RobotModel:
     root = ElementTree.fromstring(content)
     try:
-        links = [_read_link(element, path.parent) for element in root.findall("link")]
-        joints = [_read_joint(element) for element in root.findall("joint")]
+        links = _read_each(root, "link", lambda element: _read_link(element, path.parent))
+        joints = _read_each(root, "joint", _read_joint)
         _check_names("link", [link.name for link in links])
         _check_names("joint", [joint.name for joint in joints])
         model = RobotModel(root.get("name", path.stem), {x.name: x for x in links}, {x.name: x for x in joints})
@@ -227,6 +228,18 @@ def _read(path: Path, content: bytes) -> RobotModel:
     except BackendError as error:
         raise BackendError(f"URDF {path.name}: {error}") from None
     return model
+
+
+def _read_each(root: ElementTree.Element, tag: str, read: Callable[[ElementTree.Element], Part]) -> list[Part]:
+    """Read all links or joints; an error in one names it."""
+    parts = []
+    for element in root.findall(tag):
+        try:
+            parts.append(read(element))
+        except BackendError as error:
+            part = f"{tag} {element.get('name')!r}"
+            raise BackendError(str(error) if part in str(error) else f"{part}: {error}") from None
+    return parts
 
 
 def _check_names(tag: str, names: list[str]) -> None:
@@ -268,7 +281,7 @@ def _without_world(model: RobotModel) -> RobotModel:
 def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     found = element.find(tag)
     if found is None:
-        raise BackendError(f"{element.tag} {element.get('name')!r} has no <{tag}>")
+        raise BackendError(f"<{element.tag}> has no <{tag}>")
     return found
 
 
@@ -353,6 +366,12 @@ def _read_joint(element: ElementTree.Element) -> Joint:
     name, kind = element.get("name", ""), element.get("type", "")
     if kind not in get_args(JointType):
         raise BackendError(f"joint {name!r} is {kind!r}; use {', '.join(get_args(JointType))}")
+    mimic = element.find("mimic")
+    if mimic is not None:
+        _warn_once(
+            f"joint {name!r} is to mimic {mimic.get('joint')!r}, but joints are not coupled here: it moves freely; "
+            "command both, or make it fixed"
+        )
     position, rotation = _origin(element)
     axis = _numbers(element.find("axis"), "xyz", "1 0 0", 3)
     length = float(np.linalg.norm(axis))

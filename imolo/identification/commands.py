@@ -7,7 +7,7 @@ import typer
 
 from imolo.campaigns.command_options import Fresh, Out, Scheduler
 from imolo.command_line.options import CORES, Jobs
-from imolo.command_line.terminal import ProgressBars, console, say
+from imolo.command_line.terminal import ProgressBars, say, show
 
 app = typer.Typer()
 
@@ -20,9 +20,10 @@ def identify(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Fit settings of engines and robot to recordings, and judge the fits on recordings held out.
+    """Fit settings of engines and robot to recordings.
 
-    Writes identification.json, a figure, and a part of a config for each engine to the results folder.
+    The fits are judged on recordings held out. Writes identification.json, a figure, and a part of a config for
+    each engine to the results folder.
     """
     import shutil
 
@@ -57,6 +58,6 @@ def identify(
             fits = fit_to_recordings(chosen, study, folder, jobs, parallel, bars.show)
         tables, figure = report.render(fits), report.figure(fits)
         files = "patches/ENGINE.yaml holds"
-    console.print(tables)
+    show(tables)
     folder.save_figure("identification.png", figure)
     say(f"results are in {out}; {files} what to put into a config")

@@ -47,6 +47,18 @@ def leaf_name(channel: str, path: Path, names: Names = INDICES) -> str:
     return ".".join(parts)
 
 
+def leaf_unit(channel: str, path: Path, names: Names = INDICES) -> str:
+    """Return the unit of a leaf, from the .lcm files or the robot of the log; empty where it has none."""
+    kind: Any = CHANNELS[channel].message_type
+    unit, last = "", 0
+    for number, step in enumerate(path):
+        if isinstance(step, str):
+            unit, last = field_units().get((kind.__name__, step), ""), number
+            kind = _nested_type(kind.__typenames__[kind.__slots__.index(step)])
+    steps = [step for step in path[last + 1 :] if isinstance(step, int)]
+    return unit or names.unit(channel, str(path[last]), steps)
+
+
 @dataclass(frozen=True)
 class Selector:
     """A field of a channel, such as `TRUTH_ROBOT.joint_angle[0:3]`.

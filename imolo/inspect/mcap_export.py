@@ -1,18 +1,21 @@
 """Logs as MCAP for Foxglove: every channel as JSON, and what happens as a 3D scene in Foxglove's own schemas.
 
 The topics of our channels keep their names. `/scene` holds ball, markers, predicted path and target as
-`foxglove.SceneUpdate`, `/tf` the trunk as `foxglove.FrameTransforms`.
+`foxglove.SceneUpdate`, `/tf` the base of the robot as `foxglove.FrameTransforms`, and `/robot_description` and
+`/joint_states` its model and how it moves, as ROS has them.
 """
 
 import json
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from imolo.config.simulation import BallConfig
 from imolo.contracts.trial import EventName
 from imolo.errors import ResultsError
+from imolo.inspect.mcap_attachments import Started
 from imolo.inspect.trials import TrialEvents
 from imolo.machine.extras import import_extra
 from imolo.messaging import channels
@@ -22,9 +25,11 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robo
 
 Json = dict[str, Any]
 
+LAYOUT = Path(__file__).with_name("foxglove_layout.json")
 WORLD = "world"
 LIFETIME = 0.2  # [s] after which what was not seen again goes away
 JSON_TYPES = {"string": "string", "float": "number", "double": "number", "boolean": "boolean"}
+UNITS = "units"  # name of the record that holds the units of fields, such as ACTUATOR_STATE.measured
 METADATA = "imolo"  # name of the record that says what a file is made of
 LAST_TIME = (1 << 64) - 1  # [ns] of MCAP
 DELETE_ALL = 1  # foxglove.SceneEntityDeletion
@@ -53,7 +58,8 @@ def write_mcap(events: TrialEvents, file: BinaryIO, source: str) -> None:
     writer = writer_module.Writer(file)
     writer.start(profile="", library="imolo")
     topics: dict[str, int] = {}
-    for utime, topic, schema_name, schema, content in _messages(events):
+    started = Started(events.reader.path)
+    for utime, topic, schema_name, schema, content in _messages(events, started):
         if topic not in topics:
             schema_id = writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
             topics[topic] = writer.register_channel(topic, "json", schema_id)
@@ -65,7 +71,10 @@ def write_mcap(events: TrialEvents, file: BinaryIO, source: str) -> None:
             )
         data = json.dumps(content, allow_nan=True).encode()
         writer.add_message(topics[topic], nanoseconds, data, nanoseconds)
-    writer.add_metadata(METADATA, {"source": source})
+    for attached in started.attachments:
+        writer.add_attachment(0, 0, attached.name, attached.media_type, attached.data)
+    writer.add_metadata(UNITS, started.units())
+    writer.add_metadata(METADATA, {"source": source, "imolo": version("imolo"), **started.about})
     writer.finish()
 
 
@@ -86,14 +95,22 @@ def source_of(path: Path) -> str | None:
     return found[0].get("source") if found else None
 
 
-def _messages(events: TrialEvents) -> Iterator[tuple[int, str, str, Json, Json]]:
+def _messages(events: TrialEvents, started: Started) -> Iterator[tuple[int, str, str, Json, Json]]:
     """Yield time [µs], topic, name of the schema, schema and content in the order of the recording."""
     schemas = {name: json_schema(channel.message_type) for name, channel in CHANNELS.items()}
     for event, message in decoded(events, events.reader, CHANNELS):
         name, recorded = event.channel, event.utime + events.reader.shift
         yield recorded, name, f"imolo_msgs.{type(message).__name__}", schemas[name], to_json(message)
+        if name == channels.ROBOT:
+            started.robots[message.robot_name] = message
+        if name == channels.TRIAL and message.event == EventName.START and started.begin(message):
+            yield recorded, "/robot_description", "std_msgs/String", OPEN_SCHEMA, {"data": started.urdf}
         if name == channels.TRUTH_ROBOT:
-            yield recorded, "/tf", "foxglove.FrameTransforms", OPEN_SCHEMA, _trunk(message, recorded)
+            base = started.body.model.base if started.body else "base"
+            yield recorded, "/tf", "foxglove.FrameTransforms", OPEN_SCHEMA, _base(message, base, recorded)
+            if started.body:
+                joints = _joints(message, started.body.joint_names, recorded)
+                yield recorded, "/joint_states", "sensor_msgs/JointState", OPEN_SCHEMA, joints
         if name == channels.TRIAL and message.event == EventName.START:
             # What is left of the trial before does not belong to this one.
             everything = {"timestamp": _stamp(recorded), "type": DELETE_ALL, "id": ""}
@@ -164,16 +181,26 @@ def _sphere(position: Sequence[float], radius: float, color: Sequence[float], op
     }
 
 
-def _trunk(truth: truth_robot_t, utime: int) -> Json:
+def _base(truth: truth_robot_t, link: str, utime: int) -> Json:
     w, x, y, z = to_json(list(truth.base_quaternion))
     transform = {
         "timestamp": _stamp(utime),
         "parent_frame_id": WORLD,
-        "child_frame_id": "trunk",
+        "child_frame_id": link,
         "translation": _point(truth.base_position),
         "rotation": {"x": x, "y": y, "z": z, "w": w},
     }
     return {"transforms": [transform]}
+
+
+def _joints(truth: truth_robot_t, names: Sequence[str], utime: int) -> Json:
+    return {
+        "header": {"stamp": _stamp(utime), "frame_id": ""},
+        "name": list(names),
+        "position": to_json(truth.joint_angle),
+        "velocity": to_json(truth.joint_velocity),
+        "effort": [],
+    }
 
 
 def _draw_ball(truth: truth_ball_t, utime: int) -> list[Json]:

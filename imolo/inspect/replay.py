@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.config.loading import config_for, load_config
+from imolo.config.loading import config_for, named_config
 from imolo.contracts.planner import Planner
 from imolo.contracts.registry import PLANNERS
 from imolo.contracts.trial import EventName
@@ -18,14 +18,14 @@ HEARD = (channels.TRIAL, channels.MOCAP)  # what a planner subscribes to
 SAID = (channels.ACTUATOR_COMMAND, channels.PLAN, channels.BALL_STATE)  # what it publishes
 
 
-def replay(log_path: Path, table_path: Path, method: str, config_path: Path | None) -> RunComparison:
+def replay(log_path: Path, table_path: Path, method: str, config: str | None) -> RunComparison:
     """Replay a log to a planner in the order of the log, and compare its messages to the recorded ones, byte by byte.
 
     Args:
         log_path: Log of a trial.
         table_path: Table of the planner.
         method: Whose planner settings are used.
-        config_path: Config that the trial ran with; None for the defaults.
+        config: What the trial ran with, a backend or the path of a YAML; None for the defaults.
 
     Raises:
         BusError: The log cannot be read, or holds no start of a trial.
@@ -37,13 +37,13 @@ def replay(log_path: Path, table_path: Path, method: str, config_path: Path | No
     start = next((event for event in trial_events if event is not None and event.event == EventName.START), None)
     if start is None:
         raise BusError(f"{log_path} holds no start of a trial, so there is nothing to replay")
-    config = _config(config_path, start.backend, start.robot)
-    if method not in config.methods:
+    chosen = _config(config, start.backend, start.robot)
+    if method not in chosen.methods:
         raise ConfigError(
-            f"unknown method {method!r}{did_you_mean(method, config.methods)}; known: {', '.join(config.methods)}"
+            f"unknown method {method!r}{did_you_mean(method, chosen.methods)}; known: {', '.join(chosen.methods)}"
         )
-    plugin = PLANNERS.load(config.methods[method].controller.name)
-    planner = plugin.create(config, method, table_path, lambda _: None)
+    plugin = PLANNERS.load(chosen.methods[method].controller.name)
+    planner = plugin.create(chosen, method, table_path, lambda _: None)
     recorded = [event for event in events if event.channel in SAID]
     return compare_runs(recorded, answers(planner, events))
 
@@ -70,7 +70,5 @@ def answers(planner: Planner, events: list[LogEvent]) -> list[LogEvent]:
     return said
 
 
-def _config(path: Path | None, backend: str, robot: str) -> ExperimentConfig:
-    if path is not None:
-        return load_config(path)
-    return config_for(backend, robot={"name": robot})
+def _config(config: str | None, backend: str, robot: str) -> ExperimentConfig:
+    return config_for(backend, robot={"name": robot}) if config is None else named_config(config)

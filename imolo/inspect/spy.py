@@ -21,11 +21,8 @@ def open_spy(url: str, log: Path | None = None, speed: float = 1.0) -> None:
     command, environment = spy_command(url, log, speed)
     if not environment.get("DISPLAY"):
         raise MissingToolError("lcm-spy needs a display; use `imolo top` in a terminal")
-    try:
-        # What it prints is what it could not load from the jars of others.
-        ended = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
-    except KeyboardInterrupt:
-        return
+    # What it prints is what it could not load from the jars of others.
+    ended = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
     if ended.returncode > 0:
         reason = next((line for line in ended.stderr.splitlines() if "Exception" in line or "Error" in line), "")
         raise MissingToolError(f"lcm-spy ended with code {ended.returncode}: {reason}")

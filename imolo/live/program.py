@@ -80,19 +80,25 @@ class Stop:
     def __init__(self, with_parent: bool = False) -> None:
         """Watch the parent as well if `with_parent`."""
         self._asked = False
+        self.interrupted = False  # by Ctrl-C
         self._parent = os.getppid() if with_parent else 0
 
     def __bool__(self) -> bool:
         return self._asked or (self._parent != 0 and os.getppid() != self._parent)
 
-    def ask(self, *_: object) -> None:
-        """Ask the program to end."""
+    def ask(self, signal_number: int = 0, _: object = None) -> None:
+        """Ask the program to end; also a handler of signals."""
         self._asked = True
+        self.interrupted |= signal_number == signal.SIGINT
 
 
 @contextlib.contextmanager
 def until_stopped(with_parent: bool = False) -> Iterator[Stop]:
-    """Turn SIGINT and SIGTERM into a wish that the program grants when its log is whole."""
+    """Turn SIGINT and SIGTERM into a wish that the program grants when its log is whole.
+
+    Raises:
+        KeyboardInterrupt: It was Ctrl-C, and the program has ended.
+    """
     stop = Stop(with_parent)
     before = {number: signal.signal(number, stop.ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -100,6 +106,8 @@ def until_stopped(with_parent: bool = False) -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if stop.interrupted:
+        raise KeyboardInterrupt
 
 
 def run_node(node: Node, wait: Callable[[float], None], stop: Stop, turn: Callable[[], None]) -> None:

@@ -49,7 +49,7 @@ class Session:
 
     def add(self, name: str, *arguments: object) -> None:
         """Start a program of ours."""
-        command = [sys.executable, "-m", "imolo.command_line.main", name, *map(str, arguments), "--with-parent"]
+        command = [sys.executable, "-m", "imolo", name, *map(str, arguments), "--with-parent"]
         program = _Program(name, command)
         program.start()
         self._programs.append(program)
@@ -101,7 +101,7 @@ class Session:
 
 
 def run_session(
-    config_path: Path,
+    config: str,
     url: str,
     clock: ClockMode,
     table_path: Path,
@@ -120,8 +120,8 @@ def run_session(
     session = Session(url, console)
     try:
         session.add("record", "--out", folder / "session.lcmlog", "--bus", url)
-        session.add("planner", config_path, "--table", table_path, "--method", method, "--bus", url)
-        session.add("backend", config_path, "--clock", clock.value, "--out", folder, "--bus", url)
+        session.add("planner", config, "--table", table_path, "--method", method, "--bus", url)
+        session.add("backend", config, "--clock", clock.value, "--out", folder, "--bus", url)
         return session.throw(count, stop)
     finally:
         session.close()

@@ -17,9 +17,10 @@ def report(
         Path | None, typer.Option(help="Page to write.", show_default="report.html in the results folder")
     ] = None,
 ) -> None:
-    """Write a results folder as one HTML page: numbers, figures, 3-D replay of every trial, provenance.
+    """Write a results folder as one HTML page.
 
-    The page needs no network, and links to the logs where they lie.
+    Numbers, figures, 3-D replay of every trial, provenance. The page needs no network, and links to the logs where
+    they lie.
     """
     from imolo.report.page import write_report
 

@@ -7,12 +7,12 @@ import typer
 
 from imolo.command_line.terminal import say
 
-new = typer.Typer(no_args_is_help=True, help="Write the starting files of a robot or an engine of your own.")
+new = typer.Typer(no_args_is_help=True, help="Write the starting files of your own robot or engine.")
 app = typer.Typer()
 app.add_typer(new, name="new")
 
 Name = Annotated[str, typer.Argument(help="A Python name in small letters, such as my_arm.")]
-Folder = Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where to [default: a new folder NAME here].")]
+Folder = Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where to.", show_default="a new folder NAME here")]
 
 
 @new.command()

@@ -7,7 +7,7 @@ import typer
 
 from imolo.campaigns.command_options import (
     Balls,
-    ConfigPaths,
+    Configs,
     Fresh,
     Out,
     Scheduler,
@@ -17,8 +17,8 @@ from imolo.campaigns.command_options import (
     open_results,
     override,
 )
-from imolo.command_line.options import CORES, Jobs
-from imolo.command_line.terminal import ProgressBars, console, say
+from imolo.command_line.options import CORES, Config, Jobs
+from imolo.command_line.terminal import ProgressBars, say, show
 from imolo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,33 +30,36 @@ app = typer.Typer()
 @app.command()
 def ball(
     config: Annotated[
-        Path | None, typer.Argument(help="YAML of a backend whose thrower is to throw, unless --data is given.")
+        str | None, typer.Argument(metavar="CONFIG", help="Whose thrower is to throw, unless --data is given.")
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="CSV of recorded flights: flight,time_s,x_m,y_m,z_m, or as Motive exports it.")
     ] = None,
-    units: Annotated[str | None, typer.Option(help="Of positions in --data: m, cm, mm.")] = None,
-    time: Annotated[str | None, typer.Option(help="Unit of times in --data: s, ms, us, ns.")] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of --data that points upwards: z, -z, y, -y, x, -x.")] = None,
-    separator: Annotated[str | None, typer.Option(help="Of columns in --data: , ; tab |")] = None,
-    decimal: Annotated[str | None, typer.Option(help="Mark of decimals in --data: . ,")] = None,
-    models: Annotated[str, typer.Option(help="Ball models to rate, with commas.")] = "linear,drag,spin",
-    horizons: Annotated[
-        str | None, typer.Option(help="Lead times [s], with commas [default: recorded .1 to .4, simulated .25 to .75].")
+    units: Annotated[str | None, typer.Option(metavar="m|cm|mm", help="Unit of positions in --data.")] = None,
+    time: Annotated[str | None, typer.Option(metavar="s|ms|us|ns", help="Unit of times in --data.")] = None,
+    up: Annotated[
+        str | None, typer.Option(metavar="z|-z|y|-y|x|-x", help="Axis of --data that points upwards.")
     ] = None,
-    throws: Annotated[int, typer.Option(min=4, help="Number of simulated throws.")] = 24,
+    separator: Annotated[str | None, typer.Option(metavar=", ; tab |", help="Of columns in --data.")] = None,
+    decimal: Annotated[str | None, typer.Option(metavar=". ,", help="Mark of decimals in --data.")] = None,
+    models: Annotated[str, typer.Option(metavar="linear,drag,spin", help="Ball models to rate.")] = "linear,drag,spin",
+    horizons: Annotated[
+        str | None,
+        typer.Option(metavar="S,S,...", help="Lead times [s].", show_default="recorded .1 to .4, simulated .25 to .75"),
+    ] = None,
+    balls: Annotated[int, typer.Option(min=4, help="Number of simulated balls.")] = 24,
     out: Out = Path("results/ball"),
     seed: Seed = None,
     jobs: Jobs = CORES,
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Rate ball models on recorded or simulated flights by leave-one-out: error against lead time, and calibration.
+    """Rate ball models on recorded or simulated flights.
 
-    Writes ball.json and ball.png to the results folder.
+    By leave-one-out: error against lead time, and calibration. Writes ball.json and ball.png to the results folder.
     """
     from imolo.ball.csv_format import CsvFormat
-    from imolo.config.loading import load_config
+    from imolo.config.loading import named_config
     from imolo.studies import ball_report, ball_study
 
     if (config is None) == (data is None):
@@ -71,9 +74,9 @@ def ball(
         if data is not None:
             result = study.rate_recorded(data, form, jobs, bars.show)
         elif config is not None:
-            chosen = override(load_config(config), seed=seed, scheduler=scheduler)
-            result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
-    console.print(ball_report.render_evaluation(result))
+            chosen = override(named_config(config), seed=seed, scheduler=scheduler)
+            result = study.rate_simulated(chosen, balls, folder, jobs, bars.show)
+    show(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
     with folder.file("ball.png") as file:
         ball_report.draw_evaluation(result, file)
@@ -82,9 +85,9 @@ def ball(
 
 @app.command()
 def interpolation(
-    configs: ConfigPaths = None,
+    configs: Configs = None,
     repetitions: Annotated[int, typer.Option(min=2, help="For each number of trials; the paper's are 100.")] = 100,
-    trials: Annotated[str, typer.Option(help="Numbers of training trials, with commas.")] = "8,16,24",
+    numbers: Annotated[str, typer.Option(metavar="N,N,...", help="Numbers of trials.")] = "8,16,24",
     pool: Annotated[int, typer.Option(min=2, help="Random motions that queries and trials are drawn from.")] = 200,
     out: Out = Path("results/interpolation"),
     seed: Seed = None,
@@ -92,26 +95,27 @@ def interpolation(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Test whether nonlinear interpolation brings the hand nearer to where it should be (Sec. VI, Fig. 7).
+    """Test whether nonlinear interpolation helps the hand.
 
-    Takes some minutes for each backend; --repetitions 20 --pool 60 gives a quick look. Writes logs, interpolation.json
-    and interpolation.png to the results folder.
+    Whether it is nearer to where it should be, as in Sec. VI and Fig. 7. Takes some minutes for each backend;
+    --repetitions 20 --pool 60 gives a quick look. Writes logs, interpolation.json and interpolation.png to the
+    results folder.
     """
     from imolo.studies import interpolation_report, interpolation_study
 
-    numbers = interpolation_report.parse_trials(trials)
+    counts = interpolation_report.parse_trials(numbers)
     chosen = [override(config, seed=seed, scheduler=scheduler) for config in load_configs(configs)]
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
-        result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
-    console.print(interpolation_report.render_study(result))
+        result = interpolation_study.study(chosen, counts, repetitions, pool, folder, jobs, bars.show)
+    show(interpolation_report.render_study(result))
     folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
     say(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
 @app.command()
 def transfer(
-    configs: ConfigPaths = None,
+    configs: Configs = None,
     motions: Annotated[int, typer.Option(min=4, help="Of a dense table.")] = 320,
     out: Out = Path("results/transfer"),
     seed: Seed = None,
@@ -120,9 +124,10 @@ def transfer(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Throw balls on every backend for tables learned on every other, as they are and corrected by a few trials.
+    """Hit balls on every backend with tables of every other.
 
-    Takes some minutes for each pair of backends. Writes logs, tables, transfer.json and a heat map.
+    The tables are as they are, and corrected by a few trials. Takes some minutes for each pair of backends. Writes
+    logs, tables, transfer.json and a heat map.
     """
     from imolo.studies import transfer as study
     from imolo.studies import transfer_report
@@ -131,15 +136,15 @@ def transfer(
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
-    console.print(transfer_report.render_transfer(result))
+    show(transfer_report.render_transfer(result))
     folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
     say(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
 
 
 @app.command()
 def trials(
-    configs: ConfigPaths = None,
-    numbers: Annotated[str, typer.Option(help="Numbers of trials, with commas.")] = "5,10,15,20,30",
+    configs: Configs = None,
+    numbers: Annotated[str, typer.Option(metavar="N,N,...", help="Numbers of trials.")] = "5,10,15,20,30",
     motions: Annotated[int, typer.Option(min=4, help="Of a prior.")] = 320,
     candidates: Annotated[int, typer.Option(min=1, help="Motions that an active choice may pick from.")] = 60,
     tests: Annotated[int, typer.Option(min=1, help="Motions that the models are tested on.")] = 60,
@@ -149,9 +154,10 @@ def trials(
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Say how many trials a backend needs: hand error of models with and without a prior from another backend.
+    """Say how many trials a backend needs.
 
-    Writes logs, trials.json and trials.png to the results folder.
+    Compares the hand error of models with and without a prior from another backend. Writes logs, trials.json and
+    trials.png to the results folder.
     """
     from imolo.studies import interpolation_report, sample_efficiency_report
     from imolo.studies import sample_efficiency as study
@@ -162,48 +168,48 @@ def trials(
     sizes = study.Sizes(dense=motions, candidates=candidates, tests=tests)
     with ProgressBars(kept_in(out)) as bars:
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
-    console.print(sample_efficiency_report.render_study(result))
+    show(sample_efficiency_report.render_study(result))
     folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
     say(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
 @app.command()
 def attribute(
-    first: Annotated[str, typer.Argument(help="A backend by name, or a YAML that configures it.")],
-    second: Annotated[str, typer.Argument(help="The other one.")],
+    first: Config,
+    second: Config,
     motions: Annotated[
         int | None,
-        typer.Option(min=1, help="Only the first motions of the training [default: all].", show_default=False),
+        typer.Option(min=1, help="Only the first motions of the training.", show_default="all"),
     ] = None,
     out: Out = Path("results/attribute"),
     jobs: Jobs = CORES,
     scheduler: Scheduler = None,
     fresh: Fresh = False,
 ) -> None:
-    """Say why two backends bring the hand to different places under the same commands.
+    """Say why two backends bring the hand to different places.
 
-    Swaps one ingredient at a time: time step, friction cone, stiffness of contacts and joint limits, and whatever
-    else the backends declare. Writes logs, attribution.json and a waterfall.
+    Under the same commands, swaps one ingredient at a time: time step, friction cone, stiffness of contacts and
+    joint limits, and whatever else the backends declare. Writes logs, attribution.json and a waterfall.
     """
     from imolo.studies import attribution_report
     from imolo.studies.attribution import attribute as attribute_disagreement
 
     configs = (
-        override(_named_or_file(first, motions), scheduler=scheduler),
-        override(_named_or_file(second, motions), scheduler=scheduler),
+        override(_with_motions(first, motions), scheduler=scheduler),
+        override(_with_motions(second, motions), scheduler=scheduler),
     )
     folder = open_results(out, fresh)
     with ProgressBars(kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
-    console.print(attribution_report.render_attribution(answer))
+    show(attribution_report.render_attribution(answer))
     path = folder.save_figure("waterfall.png", attribution_report.draw_waterfall(answer))
     say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 
-def _named_or_file(text: str, motions: int | None) -> "ExperimentConfig":
-    from imolo.config.loading import config_for, load_config
+def _with_motions(text: str, motions: int | None) -> "ExperimentConfig":
+    from imolo.config.loading import named_config
 
-    config = load_config(Path(text)) if text.endswith((".yaml", ".yml")) else config_for(text)
+    config = named_config(text)
     if motions is None:
         return config
     training = config.training.model_copy(update={"motions": config.training.motions[:motions]})

@@ -58,7 +58,7 @@ def test_check_of_a_config_is_under_its_options(run: Run) -> None:
     assert code == 0
     # Without the bias of Euler's, which is half g dt t.
     assert re.search(r"^ +free_fall +height +18\.773[78] +18\.773[78] ", output, flags=re.MULTILINE)
-    assert re.search(r" runge \(plug-in [^()]*, mujoco-core \S+, integrator: rk4\)", " ".join(output.split()))
+    assert re.search(r"\brunge \(plug-in [^()]*, mujoco-core \S+, integrator: rk4\)", " ".join(output.split()))
 
 
 def test_check_of_several_engines_ends_in_a_matrix(run: Run) -> None:

@@ -1,6 +1,7 @@
 """`imolo backends` lists what is installed, and what is missing is told with the way to get it."""
 
 import re
+import shlex
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -12,6 +13,9 @@ from requirements import BACKEND_PARAMS
 
 from imolo.contracts import registry
 from imolo.contracts.unloaded import summary_unloaded
+from imolo.machine.extras import how_to_install
+
+ADVICE = 'install it with: pip install "pybullet>=3.2.7"'
 
 
 @pytest.mark.parametrize("name", BACKEND_PARAMS)
@@ -33,14 +37,14 @@ def test_missing_extra_ends_in_one_line_that_says_how_to_get_it(run: Run) -> Non
     Path("experiment.yaml").write_text("backend: {name: pybullet}\n", encoding="utf-8")
     code, _, errors = run("compare", "experiment.yaml")
     assert code == 2
-    assert is_one_line_about(errors, "backend 'pybullet' cannot be used", "pip install 'imolo[pybullet]'")
+    assert is_one_line_about(errors, "backend 'pybullet' cannot be used", ADVICE)
 
 
 @pytest.mark.usefixtures("without_pybullet")
 def test_missing_extra_leaves_the_other_backends_ready() -> None:
     status = {name: registry.BACKENDS.status(name) for name in ("dart", "mujoco", "pybullet")}
     assert status["pybullet"].plugin is None
-    assert status["pybullet"].problem.endswith("install it with: pip install 'imolo[pybullet]'")
+    assert status["pybullet"].problem.endswith(ADVICE)
     assert (status["mujoco"].problem, status["dart"].problem) == ("", "")
 
 
@@ -55,7 +59,7 @@ def test_backends_says_that_an_engine_is_missing(run: Run) -> None:
 @pytest.mark.usefixtures("without_pybullet")
 def test_backends_says_how_to_get_a_missing_engine(run: Run) -> None:
     _, output, _ = run("backends")
-    assert "pip install 'imolo[pybullet]'" in " ".join(output.split())
+    assert ADVICE in " ".join(output.split())
 
 
 @pytest.mark.parametrize("name", [*BACKEND_PARAMS, "hardware"])
@@ -87,11 +91,27 @@ def test_source_that_does_not_tell_is_left_to_the_import(
     assert summary_unloaded(EntryPoint("made", "made_plugin.engine:BACKEND", "imolo.backends")) is None
 
 
-def test_extra_without_a_wheel_for_this_python_is_not_advised() -> None:
-    requires = ["numpy>=1", "dartpy>=6; extra == 'dart'", "pybullet>=3; python_version < '3' and extra == 'pybullet'"]
-    assert registry.installs("dart", requires)
-    assert not registry.installs("pybullet", requires)
-    assert not registry.installs("none", requires)
+def test_advice_names_the_package_itself_since_imolo_may_be_on_no_index() -> None:
+    requirements = ["numpy>=1", "dartpy>=6.20; extra == 'dart'", "mcap>=1; extra == 'export'", "a<2; extra == 'export'"]
+    assert how_to_install("dart", requirements) == 'install it with: pip install "dartpy>=6.20"'
+    assert how_to_install("export", requirements) == 'install it with: pip install "mcap>=1" "a<2"'
+    assert how_to_install("none", requirements) == ""
+
+
+@pytest.mark.parametrize(
+    ("marker", "needs"),
+    [
+        ("python_version < '3' and extra == 'bullet'", "bullet needs Python < 3; this is Python"),
+        ("(sys_platform == 'plan9') and extra == 'bullet'", "bullet needs sys_platform == plan9; this is Python"),
+    ],
+)
+def test_package_that_is_not_for_this_python_or_system_is_not_advised(marker: str, needs: str) -> None:
+    advice = how_to_install("bullet", [f"bullet>=3; {marker}"])
+    assert advice.startswith(needs)
+    assert "pip install" not in advice
+    assert how_to_install("bullet", [f"bullet>=3; {marker}", "bullet-fork; extra == 'bullet'"]).endswith(
+        '"bullet-fork"'
+    )
 
 
 @pytest.mark.parametrize("wrong", [None, ModuleType("ode")], ids=["none", "another package of this name"])
@@ -104,6 +124,10 @@ def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
     Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
     code, _, errors = run("compare", "experiment.yaml")
     assert code == 2
-    assert is_one_line_about(errors, "backend 'ode' cannot be used", "make ode")
-    # PyPI has another package of this name.
+    assert is_one_line_about(errors, "backend 'ode' cannot be used", "bash ")
+    # PyPI has another package of this name, and a wheel brings no Makefile.
     assert "pip install" not in errors
+    assert "make " not in errors
+    script, python = shlex.split(errors.partition(": bash ")[2])
+    assert Path(script).is_file()
+    assert python == sys.executable

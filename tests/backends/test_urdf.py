@@ -134,3 +134,40 @@ def test_a_moment_of_inertia_that_no_body_has_is_cut(tmp_path: Path, caplog: pyt
     path.write_text(URDF.replace('izz="1"', 'izz="2.5"'))
     assert np.diag(read_urdf(path).links["arm"].inertia) == pytest.approx([1.0, 1.0, 2.0], rel=1.1e-5)
     assert "link 'arm' has principal moments [1.0, 1.0, 2.5] kg m², which no body has; the last is cut" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('<link name="arm"><inertial><mass value="1"/>', '<link name="arm"><inertial>', ("link 'arm'", "<mass>")),
+        ('<inertia ixx="1" iyy="1" izz="1"/></inertial>\n<coll', "</inertial><coll", ("link 'arm'", "<inertia>")),
+        ('<geometry><box size="1 1 1"/></geometry>', "", ("link 'arm'", "<geometry>")),
+        ('<box size="1 1 1"/>', '<box size="1 1"/>', ("link 'arm'", "size='1 1'")),
+        ('<box size="1 1 1"/>', "<capsule/>", ("link 'arm'", "capsule")),
+        ('<parent link="base"/>', "", ("joint 'turn'", "<parent>")),
+        ('<limit lower="-1" upper="1"/>', "", ("joint 'turn'", "<limit>")),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="up"/>', ("joint 'turn'", "xyz='up'")),
+    ],
+)
+def test_what_is_wrong_in_a_link_or_joint_is_told_with_its_name(
+    tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
+) -> None:
+    assert URDF.count(old) == 1
+    (tmp_path / "two.urdf").write_text(URDF.replace(old, new), encoding="utf-8")
+    with pytest.raises(BackendError) as caught:
+        read_urdf(tmp_path / "two.urdf")
+    assert str(caught.value).startswith("URDF two.urdf: ")
+    assert all(part in str(caught.value) for part in parts), caught.value
+    assert "None" not in str(caught.value)
+
+
+def test_joint_that_is_to_mimic_another_is_named_in_one_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = URDF.replace("</joint>", '<mimic joint="wrist"/></joint>').replace('"turn"', '"finger of one test"')
+    (tmp_path / "two.urdf").write_text(text, encoding="utf-8")
+    for _ in range(2):  # once only
+        read_urdf(tmp_path / "two.urdf")
+    (told,) = caplog.messages
+    assert told.startswith("joint 'finger of one test' is to mimic 'wrist', ")
+    assert "\n" not in told

@@ -109,7 +109,7 @@ def test_comparison_is_the_same_wherever_it_runs_and_however_often_it_stops(run:
 
 def test_results_of_another_seed_are_refused_until_fresh_ones_are_wanted(run: Run) -> None:
     Path("small.yaml").write_text(SMALL, encoding="utf-8")
-    ball = ("ball", "small.yaml", "--throws", 4, "--models", "linear", "--jobs", 1, "--out", "out")
+    ball = ("ball", "small.yaml", "--balls", 4, "--models", "linear", "--jobs", 1, "--out", "out")
     assert run(*ball)[0] == 0
     code, _, errors = run(*ball, "--seed", 2)
     assert code == 2

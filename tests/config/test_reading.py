@@ -3,10 +3,12 @@
 import os
 import time
 from pathlib import Path
+from typing import Annotated
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field
 
 from imolo.config.loading import load_config
 from imolo.config.model import Model
@@ -68,6 +70,65 @@ def test_options_of_a_backend_take_no_booleans_as_numbers(tmp_path: Path) -> Non
     path.write_text("backend: {name: mujoco, impratio: true}\n", encoding="utf-8")
     with pytest.raises(ConfigError, match="'impratio' is True: Input should be a valid number"):
         load_config(path)
+
+
+class Part(Model):
+    name: str
+    until: float | None = None
+
+
+class Whole(Model):
+    parts: Annotated[tuple[Annotated[Part, Field()], ...], Field(min_length=1)]
+    mixed: tuple[Part | str, ...] = ()
+    by_name: dict[str, tuple[Part, ...]] = Field({})
+    pair: tuple[float, Part] | None = None
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("parts: [{name: a, untill: 1.0}]", "unknown key 'parts.0.untill'; did you mean 'until'? (known: name, until)"),
+        ("parts: [{nam: a}]", "unknown key 'parts.0.nam'; did you mean 'name'? (known: name, until)"),
+        ("parts: [{name: a}, {nam: a}]", "unknown key 'parts.1.nam'; did you mean 'name'? (known: name, until)"),
+        ("parts: []", "'parts' is []: List should have at least 1 item after validation, not 0"),
+        ("parts: [{until: 1.0}]", "'parts.0.name' is missing"),
+        ("parts: [{name: a}]\nmixed: [{name: b, untill: 1.0}]", "unknown key 'mixed.0.untill'; did you mean 'until'?"),
+        ("parts: [{name: a}]\nmixed: [x, 3.0]", "'mixed.1' is 3.0: "),
+        (
+            "parts: [{name: a}]\nby_name: {b: [{name: b, untill: 1.0}]}",
+            "unknown key 'by_name.b.0.untill'; did you mean",
+        ),
+        (
+            "parts: [{name: a}]\npair: [1.0, {name: b, untill: 1.0}]",
+            "unknown key 'pair.1.untill'; did you mean 'until'?",
+        ),
+    ],
+)
+def test_one_mistake_in_a_list_is_told_as_one(tmp_path: Path, text: str, told: str) -> None:
+    said = refusal(tmp_path / "s.yaml", text, Whole)
+    assert told.replace("List", "Tuple") in said or told in said
+    assert " more)" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "more"),
+    [
+        ("parts: [{name: a, x: 1}, {name: b, y: 1}]", 1),
+        ("parts: [{name: a, x: 1, until: soon}]\nmixed: 3", 2),
+        ("parts: [{x: 1}]", 1),  # the name is missing, and not misspelt
+        ("parts: [{nam: a}, {nam: b}]", 1),
+    ],
+)
+def test_as_many_more_mistakes_are_counted_as_there_are(tmp_path: Path, text: str, more: int) -> None:
+    said = refusal(tmp_path / "s.yaml", text, Whole)
+    assert "unknown key" in said
+    assert said.endswith(f" (and {more} more)")
+
+
+def test_misspelt_key_of_a_phase_is_named(tmp_path: Path) -> None:
+    text = GOOD + "motion: {phases: [{target: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], untill: 1.2}]}\n"
+    said = refusal(tmp_path / "e.yaml", text)
+    assert said.endswith("unknown key 'motion.phases.0.untill'; did you mean 'until'? (known: target, until)")
 
 
 def test_plain_words_and_numbers_mean_what_they_say(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import shutil
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 from recorded_trials import Recorded
 
+from imolo.config.loading import known_body
 from imolo.errors import MissingToolError
 from imolo.inspect.fields import column_name, leaves
 from imolo.inspect.mcap_export import to_json
@@ -59,7 +62,7 @@ def test_parquet_reads_back_as_the_same_numbers(recorded: Recorded, log: Log, ru
 
 def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run: Run, tmp_path: Path) -> None:
     code, output, _ = run("export", recorded.first, "--out", tmp_path / "log.mcap")
-    assert (code, output.strip()) == (0, str(tmp_path / "log.mcap"))
+    assert (code, output.splitlines()[0]) == (0, str(tmp_path / "log.mcap"))
     found: dict[str, list[tuple[int, str, object]]] = {}
     with (tmp_path / "log.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -76,6 +79,8 @@ def test_mcap_holds_every_message_and_a_scene(recorded: Recorded, log: Log, run:
     assert {topic: entries[0][1] for topic, entries in found.items()} == {
         "/scene": "foxglove.SceneUpdate",
         "/tf": "foxglove.FrameTransforms",
+        "/robot_description": "std_msgs/String",
+        "/joint_states": "sensor_msgs/JointState",
     }
 
 
@@ -106,15 +111,84 @@ def test_number_that_json_does_not_have_becomes_null() -> None:
     assert to_json(message)["measured"][:3] == [None, None, 1.0]
 
 
-def test_unknown_format_is_refused_with_the_nearest(recorded: Recorded, run: Run) -> None:
-    code, _, errors = run("export", recorded.first, "--to", "parket")
-    assert code == 2
-    assert errors == "imolo: unknown format 'parket'; did you mean 'parquet'?; known: mcap, csv, parquet\n"
-
-
-def test_missing_package_names_the_extra() -> None:
-    with pytest.raises(MissingToolError, match=r"install it with: pip install 'imolo\[export\]'"):
+def test_missing_package_is_advised_by_itself() -> None:
+    with pytest.raises(MissingToolError, match=r'install it with: pip install "mcap>=[\d.]+" "pyarrow>=\d+"$'):
         import_extra("no_such_package", "export")
+
+
+def test_columns_of_both_tables_tell_their_units(recorded: Recorded, run: Run, tmp_path: Path) -> None:
+    for to in ("csv", "parquet"):
+        assert run("export", recorded.first, "--to", to, "--out", tmp_path / to)[0] == 0
+    about = json.loads((tmp_path / "csv/csv-metadata.json").read_text(encoding="utf-8"))
+    assert about["@context"] == "http://www.w3.org/ns/csvw"
+    assert {table["url"] for table in about["tables"]} >= {f"{name}.csv" for name in STREAMS}
+    found = {}
+    for table in about["tables"]:
+        name = table["url"].removesuffix(".csv")
+        columns = {column["name"]: column for column in table["tableSchema"]["columns"]}
+        with (tmp_path / f"csv/{name}.csv").open(newline="", encoding="utf-8") as file:
+            assert next(csv.reader(file)) == list(columns)
+        fields = list(parquet.read_schema(tmp_path / f"parquet/{name}.parquet"))
+        assert [field.name for field in fields] == list(columns)
+        for field in fields:
+            column = columns[field.name]
+            unit, title = column.get("schema:unitText", ""), column["dc:description"]
+            assert field.metadata.get(b"unit", b"").decode() == unit
+            assert field.metadata[b"description"].decode() == title
+            found[f"{name}.{field.name}"] = unit, title
+    assert found["ACTUATOR_STATE.recorded_utime"] == ("us", "time of the recording")
+    assert found["TRUTH_BALL.true_ball_position_2"] == ("m", "true_ball_position[2]")
+    # Of these the robot says names and units.
+    assert found["PLAN.theta_0"] == ("", "theta[k]")
+    assert found["PLAN.theta_1"] == ("s", "theta[t_w]")
+    assert found["ACTUATOR_STATE.measured_6"] == ("Pa", "measured[valve 7: raises both arms]")
+
+
+def test_mcap_brings_robot_config_and_units(recorded: Recorded, run: Run, tmp_path: Path) -> None:
+    for folder in ("logs", "configs"):
+        (tmp_path / folder).mkdir()
+    log = shutil.copy(recorded.first, tmp_path / "logs/one.lcmlog")
+    messages = read_log(recorded.first).messages
+    backend = messages["TRIAL"][0].backend
+    (tmp_path / f"configs/{backend}.yaml").write_text("seed: 3\n", encoding="utf-8")
+    run("export", log, "--out", tmp_path / "log.mcap")
+    with (tmp_path / "log.mcap").open("rb") as file:
+        reader = make_reader(file)
+        attached = {each.name: each.data for each in reader.iter_attachments()}
+        records = {each.name: each.metadata for each in reader.iter_metadata()}
+        (model,) = [json.loads(each.data)["data"] for *_, each in reader.iter_messages(topics=["/robot_description"])]
+        joints = [json.loads(each.data) for *_, each in reader.iter_messages(topics=["/joint_states"])]
+        frames = [json.loads(each.data)["transforms"] for *_, each in reader.iter_messages(topics=["/tf"])]
+    body = known_body("liberobot")
+    assert body is not None
+    assert attached == {"liberobot.urdf": body.urdf.read_bytes(), f"{backend}.yaml": b"seed: 3\n"}
+    assert model == body.urdf.read_text(encoding="utf-8")
+    assert records["imolo"] == {"source": str(log), "imolo": version("imolo"), "robot": "liberobot"}
+    units = {
+        "TRUTH_BALL.true_ball_position": "m",
+        "MOCAP.markers.marker_position": "m",
+        "PLAN.theta[t_w]": "s",
+        "ACTUATOR_STATE.measured[valve 7: raises both arms]": "Pa",
+    }
+    assert records["units"].items() >= units.items()
+    assert [each["position"] for each in joints] == [list(each.joint_angle) for each in messages["TRUTH_ROBOT"]]
+    assert {tuple(each["name"]) for each in joints} == {body.joint_names}
+    assert {frame["child_frame_id"] for (frame,) in frames} == {body.model.base}
+
+
+def test_layout_for_foxglove_shows_topics_that_an_export_has(recorded: Recorded, run: Run, tmp_path: Path) -> None:
+    _, output, _ = run("export", recorded.first, "--out", tmp_path / "log.mcap")
+    layout = json.loads(Path(output.splitlines()[1].partition(": ")[2]).read_text(encoding="utf-8"))
+    with (tmp_path / "log.mcap").open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    panels = layout["configById"]
+    scene = panels["3D!robot"]
+    assert {*scene["topics"], scene["layers"]["robot"]["topic"], scene["layers"]["robot"]["jointStatesTopic"]} <= topics
+    for name, panel in panels.items():
+        for path in [series["value"] for series in panel.get("paths", [])] + [panel.get("topicPath", "TRIAL")]:
+            assert path.partition(".")[0] in topics, name
+    places = json.dumps(layout["layout"])
+    assert all(f'"{name}"' in places for name in panels)
 
 
 def test_folder_that_cannot_be_written_is_one_line(recorded: Recorded, run: Run, tmp_path: Path) -> None:

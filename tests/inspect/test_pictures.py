@@ -198,7 +198,7 @@ def test_top_follows_a_bus(recorded: Recorded, mark: None) -> None:
     url = "udpm://239.255.76.67:7667?ttl=0"
     script = (
         "ip link set lo up; ip link set lo multicast on; ip route add 224.0.0.0/4 dev lo; "
-        f"({imolo} top --url '{url}' --seconds 6 > {recorded.first}.top) & top=$!; sleep 3; "
+        f"({imolo} top --bus '{url}' --seconds 6 > {recorded.first}.top) & top=$!; sleep 3; "
         f"{player} --speed=1 --lcm-url='{url}' {recorded.first}; wait $top"
     )
     subprocess.run(

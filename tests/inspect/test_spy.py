@@ -117,7 +117,7 @@ def test_without_java_one_line_says_what_to_install(run: Run, monkeypatch: pytes
 
 
 def test_bus_inside_a_process_is_refused(run: Run) -> None:
-    code, _, errors = run("spy", "--url", "memq://")
+    code, _, errors = run("spy", "--bus", "memq://")
     assert (code, errors.count("\n")) == (2, 1)
 
 

@@ -123,12 +123,12 @@ def test_second_planner_gives_way_in_one_line(lockstep: Lab) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_session_of_one_command_stops_cleanly(realtime: Lab, number: signal.Signals) -> None:
     up = realtime.start(
-        "up", realtime.config, "--table", realtime.table, "--throws", MANY, "--out", realtime.folder, "--bus", URL
+        "up", realtime.config, "--table", realtime.table, "--balls", MANY, "--out", realtime.folder, "--bus", URL
     )
     children = [int(up.wait_for(rf"up: {role} (\d+) is here")[1]) for role in ("recorder", "backend")]
     up.wait_for(r"up: ball 0: ")
     up.wait_for(r"up: ball 1 is on its way")
-    assert up.stop(number) == 1
+    assert up.stop(number) == (130 if number == signal.SIGINT else 1)
     assert not any(Path(f"/proc/{pid}").exists() for pid in children)
     assert re.search(r"record: stopped; \d+ messages in \S+session.lcmlog", "".join(up.lines))
     ends = [event for event in read_log(realtime.session_log).messages[channels.TRIAL] if event.event == EventName.END]
@@ -143,7 +143,7 @@ def test_programs_of_a_killed_session_end_by_themselves(lockstep: Lab) -> None:
         lockstep.config,
         "--table",
         lockstep.table,
-        "--throws",
+        "--balls",
         MANY,
         "--clock",
         "lockstep",

@@ -1,13 +1,14 @@
-"""`make ode` installs files that nobody else may write."""
+"""`get_ode` installs files that nobody else may write."""
 
 import os
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "tools" / "get_ode"
+import imolo_backends.engines
+
+SCRIPT = Path(imolo_backends.engines.__file__).with_name("get_ode")
 FAKES = {
     "apt-get": "touch python3-pyode.deb",
     # As careless as can be.
@@ -29,17 +30,16 @@ esac
 
 @pytest.mark.parametrize("mask", [0o000, 0o077])
 def test_what_is_installed_is_readable_by_all_and_writable_by_its_owner_alone(tmp_path: Path, mask: int) -> None:
-    places = {name: tmp_path / name for name in ("tools", ".venv/bin", "fakes", "platlib")}
+    places = {name: tmp_path / name for name in (".venv/bin", "fakes", "platlib")}
     for place in places.values():
         place.mkdir(parents=True)
     places["platlib"].chmod(0o755)
-    shutil.copy(SCRIPT, places["tools"])
     programs = {places["fakes"] / name: text for name, text in FAKES.items()} | {places[".venv/bin"] / "python": PYTHON}
     for path, text in programs.items():
         path.write_text(f"#!/usr/bin/env bash\n{text}", encoding="utf-8")
         path.chmod(0o755)
     subprocess.run(
-        ["bash", "-c", f"umask {mask:03o}; exec tools/get_ode"],
+        ["bash", "-c", f"umask {mask:03o}; exec bash {SCRIPT} .venv/bin/python"],
         cwd=tmp_path,
         env={**os.environ, "PATH": f"{places['fakes']}:{os.environ['PATH']}", "PLATLIB": str(places["platlib"])},
         check=True,

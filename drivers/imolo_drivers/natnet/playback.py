@@ -9,7 +9,8 @@ from typing import Annotated, Self
 
 import typer
 
-from imolo.errors import ImoloError, MissingToolError, NatNetError
+from imolo.errors import ImoloError, NatNetError
+from imolo.machine.extras import import_extra
 from imolo_drivers.natnet.config import NatNetServerConfig
 from imolo_drivers.natnet.decoder import decode
 from imolo_drivers.natnet.messages import Frame, ModelDefinitions, ServerInfo
@@ -131,10 +132,7 @@ class Playback:
 
 def _udp_packets(path: Path) -> list[tuple[float, bytes, bytes]]:
     """Return time [s], source address and payload of every UDP packet."""
-    try:
-        import dpkt
-    except ImportError:
-        raise MissingToolError("playback needs dpkt; pip install 'imolo[playback]'") from None
+    dpkt = import_extra("dpkt", "playback")
     packets = []
     try:
         with path.open("rb") as file:

@@ -98,6 +98,16 @@ def test_any_other_answer_does_not_arm(answer: str) -> None:
         assert board.state == "VENTED"
 
 
+def test_ctrl_c_at_the_question_does_not_arm_and_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def press(_: str) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("builtins.input", press)
+    with running_board(**PATIENT) as board, controller(board, armed=False):
+        assert runner.invoke(app, ["arm", address(board)]).exit_code == 130
+        assert board.state == "VENTED"
+
+
 def test_nobody_is_asked_where_there_is_nothing_to_arm() -> None:
     with running_board(**PATIENT) as board:
         result = runner.invoke(app, ["arm", address(board)], input="arm\n")

@@ -1,0 +1,5 @@
+"""`python -m imolo`."""
+
+from imolo.command_line.start import main
+
+main()
