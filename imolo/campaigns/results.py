@@ -110,11 +110,18 @@ class ResultsFolder:
         with self.file(f"configs/{config.backend.name}.yaml") as file:
             file.write(dump_yaml(content).encode())
 
-    def save_figure(self, name: str, figure: "Figure") -> Path:
-        """Write a figure to a file of this name among the figures, and return the file."""
-        with self.file(f"figures/{name}") as file:
-            figure.savefig(file, format=Path(name).suffix[1:], bbox_inches="tight", facecolor="white")
-        return self.figures / name
+    def save_figure(self, name: str, figure: "Figure", within: str = "figures") -> Path:
+        """Write a figure to a file of this name in a folder of this one, and return the file."""
+        from imolo.campaigns.appearance import write_figure
+
+        with self.file(f"{within}/{name}") as file:
+            write_figure(figure, file, Path(name).suffix[1:])
+        return self.path / within / name
+
+    def save_drawing(self, name: str, figure: "Figure", within: str = "figures") -> Path:
+        """Write a figure for papers and slides, PNG, and for the report, SVG; return the former."""
+        self.save_figure(f"{name}.svg", figure, within)
+        return self.save_figure(f"{name}.png", figure, within)
 
     def save_json(self, name: str, content: BaseModel) -> None:
         """Write numbers to a file of this name."""

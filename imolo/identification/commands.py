@@ -58,5 +58,5 @@ def identify(
         tables, figure = report.render(fits), report.figure(fits)
         files = "patches/ENGINE.yaml holds"
     console.print(tables)
-    folder.save_figure("identification.png", figure)
+    folder.save_drawing("identification", figure)
     say(f"results are in {out}; {files} what to put into a config")

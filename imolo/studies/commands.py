@@ -75,8 +75,7 @@ def ball(
             result = study.rate_simulated(chosen, throws, folder, jobs, bars.show)
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
-    with folder.file("ball.png") as file:
-        ball_report.draw_evaluation(result, file)
+    folder.save_drawing("ball", ball_report.draw_evaluation(result), within=".")
     say(f"ball.json and ball.png are in {out}")
 
 
@@ -105,7 +104,7 @@ def interpolation(
     with ProgressBars(kept_in(out)) as bars:
         result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
     console.print(interpolation_report.render_study(result))
-    folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
+    folder.save_drawing("interpolation", interpolation_report.draw_study(result))
     say(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
@@ -132,7 +131,7 @@ def transfer(
     with ProgressBars(kept_in(out)) as bars:
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
     console.print(transfer_report.render_transfer(result))
-    folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
+    folder.save_drawing("transfer", transfer_report.draw_transfer(result))
     say(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
 
 
@@ -163,7 +162,7 @@ def trials(
     with ProgressBars(kept_in(out)) as bars:
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
     console.print(sample_efficiency_report.render_study(result))
-    folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
+    folder.save_drawing("trials", sample_efficiency_report.draw_study(result))
     say(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
@@ -196,7 +195,7 @@ def attribute(
     with ProgressBars(kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     console.print(attribution_report.render_attribution(answer))
-    path = folder.save_figure("waterfall.png", attribution_report.draw_waterfall(answer))
+    path = folder.save_drawing("waterfall", attribution_report.draw_waterfall(answer))
     say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 
