@@ -1,6 +1,8 @@
 """The folder that holds everything of an experiment, and what says how it came about."""
 
 import platform
+import shlex
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from pydantic import BaseModel
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import backend_options
 from imolo.config.yaml_file import dump_yaml
-from imolo.contracts.provenance import arithmetic, provenance
+from imolo.contracts.provenance import arithmetic, commit, provenance
 from imolo.contracts.registry import BACKENDS
 from imolo.errors import ResultsError
 from imolo.machine.files import TEMPORARY, whole_file
@@ -139,6 +141,32 @@ class ResultsFolder:
             raise ResultsError(
                 f"cannot write {self.path / name}: {error.strerror}; make room or choose another --out"
             ) from error
+
+
+class Origin(BaseModel):
+    """How a results folder came about.
+
+    Attributes:
+        command: As it was typed; the last one where a campaign went on.
+        commit: Of our code, see `imolo.contracts.provenance.commit`.
+        version: Of imolo.
+        machine: Where it ran, and on what processor.
+    """
+
+    command: str
+    commit: str
+    version: str
+    machine: str
+
+
+def origin_of_this_run() -> Origin:
+    """Return how what this program does comes about."""
+    return Origin(
+        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        commit=commit(),
+        version=version("imolo"),
+        machine=f"{platform.system()} {platform.machine()}, {arithmetic()['processor']}",
+    )
 
 
 def installed_versions(backends: Iterable[str] = ()) -> dict[str, str]:

@@ -107,7 +107,7 @@ def _draw(
         color = INK if brightness > 0.5 else LIGHT
         axes.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color=color, fontsize=9)
     for i, j in np.argwhere(~np.isfinite(values)):
-        axes.text(j, i, "–", ha="center", va="center", color=FAINT)
+        axes.plot(j, i, "x", color=FAINT)
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(learned)), [row or ALONE for row in learned])
     axes.tick_params(length=0)
