@@ -61,16 +61,15 @@ def override(
 
 
 def open_results(out: Path, fresh: bool) -> "ResultsFolder":
-    """Return the results folder with its origin.json; say how many trials are in it unless `fresh` deletes them.
+    """Return the results folder, and say how many trials are in it already unless they are deleted for `fresh` ones.
 
     Raises:
         ResultsError: The folder cannot be written, or another program is at work in it.
     """
-    from imolo.campaigns.results import ResultsFolder, origin_of_this_run
+    from imolo.campaigns.results import ResultsFolder
 
     folder = ResultsFolder(out)
     folder.prepare()
-    folder.save_json("origin.json", origin_of_this_run())
     if fresh:
         folder.discard_trials()
     elif there := folder.trials():

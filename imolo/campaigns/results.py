@@ -40,6 +40,22 @@ PACKAGES = (
 )
 
 
+class Origin(BaseModel):
+    """How a results folder came about.
+
+    Attributes:
+        command: As it was typed; the last one where a campaign went on.
+        commit: Of our code, see `imolo.contracts.provenance.commit`.
+        version: Of imolo.
+        machine: Where it ran, and on what processor.
+    """
+
+    command: str
+    commit: str
+    version: str
+    machine: str
+
+
 @dataclass(frozen=True)
 class ResultsFolder:
     """Where everything of one experiment lies.
@@ -130,6 +146,18 @@ class ResultsFolder:
         with self.file(name) as file:
             file.write(f"{content.model_dump_json(indent=1)}\n".encode())
 
+    def save_origin(self) -> None:
+        """Write how the results came about, when they are all there."""
+        self.save_json(
+            "origin.json",
+            Origin(
+                command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+                commit=commit(),
+                version=version("imolo"),
+                machine=f"{platform.system()} {platform.machine()}, {arithmetic()['processor']}",
+            ),
+        )
+
     @contextmanager
     def file(self, name: str) -> Iterator[BinaryIO]:
         """Open a file that is replaced as a whole when the block ends, see `whole_file`."""
@@ -141,32 +169,6 @@ class ResultsFolder:
             raise ResultsError(
                 f"cannot write {self.path / name}: {error.strerror}; make room or choose another --out"
             ) from error
-
-
-class Origin(BaseModel):
-    """How a results folder came about.
-
-    Attributes:
-        command: As it was typed; the last one where a campaign went on.
-        commit: Of our code, see `imolo.contracts.provenance.commit`.
-        version: Of imolo.
-        machine: Where it ran, and on what processor.
-    """
-
-    command: str
-    commit: str
-    version: str
-    machine: str
-
-
-def origin_of_this_run() -> Origin:
-    """Return how what this program does comes about."""
-    return Origin(
-        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        commit=commit(),
-        version=version("imolo"),
-        machine=f"{platform.system()} {platform.machine()}, {arithmetic()['processor']}",
-    )
 
 
 def installed_versions(backends: Iterable[str] = ()) -> dict[str, str]:

@@ -59,4 +59,5 @@ def identify(
         files = "patches/ENGINE.yaml holds"
     console.print(tables)
     folder.save_drawing("identification", figure)
+    folder.save_origin()
     say(f"results are in {out}; {files} what to put into a config")

@@ -76,6 +76,7 @@ def ball(
     console.print(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
     folder.save_drawing("ball", ball_report.draw_evaluation(result), within=".")
+    folder.save_origin()
     say(f"ball.json and ball.png are in {out}")
 
 
@@ -105,6 +106,7 @@ def interpolation(
         result = interpolation_study.study(chosen, numbers, repetitions, pool, folder, jobs, bars.show)
     console.print(interpolation_report.render_study(result))
     folder.save_drawing("interpolation", interpolation_report.draw_study(result))
+    folder.save_origin()
     say(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
@@ -132,6 +134,7 @@ def transfer(
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
     console.print(transfer_report.render_transfer(result))
     folder.save_drawing("transfer", transfer_report.draw_transfer(result))
+    folder.save_origin()
     say(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
 
 
@@ -163,6 +166,7 @@ def trials(
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
     console.print(sample_efficiency_report.render_study(result))
     folder.save_drawing("trials", sample_efficiency_report.draw_study(result))
+    folder.save_origin()
     say(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
@@ -196,6 +200,7 @@ def attribute(
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     console.print(attribution_report.render_attribution(answer))
     path = folder.save_drawing("waterfall", attribution_report.draw_waterfall(answer))
+    folder.save_origin()
     say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 

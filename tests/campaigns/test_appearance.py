@@ -1,7 +1,7 @@
 """One colour, marker and line for an engine everywhere; figures that follow a dark page."""
 
 from io import BytesIO
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import matplotlib as mpl
 import numpy as np
@@ -79,7 +79,7 @@ def test_runs_of_one_engine_are_told_apart_without_the_colour_of_any() -> None:
 @pytest.mark.parametrize("count", [1, 2, 8])
 def test_elements_grow_lighter_so_that_they_differ_in_grey(count: int) -> None:
     lightness = [lab(linear(color))[0] for color in element_colors(count)]
-    assert all(after - before > 5.0 for before, after in zip(lightness, lightness[1:], strict=False))
+    assert all(after - before > 5.0 for before, after in pairwise(lightness))
 
 
 def svg() -> str:
