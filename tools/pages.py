@@ -118,7 +118,7 @@ def draw_report(folder: Path, out: Path) -> None:
     """Draw the first screens of the report."""
     with TemporaryDirectory() as temporary:
         page = write_report(folder, Path(temporary) / "report.html").path
-        picture_of_page(page, out, width=1240, height=1330)
+        picture_of_page(page, out, width=1280, height=1480)
 
 
 def draw_view(folder: Path, out: Path) -> None:

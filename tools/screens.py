@@ -13,7 +13,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import websockets
+from numpy.typing import NDArray
+from PIL import Image
 
 from imolo.inspect.spy import spy_command
 from imolo.messaging.udpm import LOCAL_URL
@@ -98,6 +101,7 @@ def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitab
                 deviceScaleFactor=1,
                 mobile=width < 500,
             )
+            await call("Emulation.setScrollbarsHidden", hidden=True)
             await call("Page.navigate", url=page.resolve().as_uri())
             await browser.until("document.readyState === 'complete' && location.protocol === 'file:'")
             return await act(browser)
@@ -163,24 +167,32 @@ def picture_of_spy(log: Path, out: Path) -> None:
     """Write lcm-spy's window while it plays a log, with two of its messages open."""
     command, environment = spy_command(LOCAL_URL, log, 0.25)
     read, write = os.pipe()
-    screen = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", SPY_SCREEN], pass_fds=[write], stderr=subprocess.DEVNULL
-    )
-    os.close(write)
-    try:
+    with TemporaryDirectory() as memory:
+        screen = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", SPY_SCREEN, "-fbdir", memory],
+            pass_fds=[write],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
         with os.fdopen(read) as told:
             environment["DISPLAY"] = f":{told.readline().strip()}"
         window = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             _open_messages(environment, log)
-            drawn = ["import", "-window", "root", str(out)]
-            subprocess.run(drawn, env=environment, check=True, timeout=PATIENCE)
+            Image.fromarray(_pixels(Path(memory) / "Xvfb_screen0")).save(out)
         finally:
-            window.terminate()
-            window.wait(30)
-    finally:
-        screen.terminate()
-        screen.wait(30)
+            for program in (window, screen):
+                program.terminate()
+                program.wait(30)
+
+
+def _pixels(dump: Path) -> NDArray[np.uint8]:
+    """Return what is on a screen of Xvfb, whose memory is a file in the format of xwd, shape (height, width, 3)."""
+    content = dump.read_bytes()
+    # Words of the header: its size, width and height of the screen, bytes of a line, number of colours (12 bytes each).
+    size, width, height, line, colors = (int.from_bytes(content[4 * i : 4 * i + 4], "big") for i in (0, 4, 5, 12, 19))
+    pixels = np.frombuffer(content, np.uint8, height * line, size + 12 * colors).reshape(height, line // 4, 4)
+    return pixels[:, :width, 2::-1].copy()
 
 
 def _open_messages(environment: dict[str, str], log: Path) -> None:
@@ -198,10 +210,13 @@ def _open_messages(environment: dict[str, str], log: Path) -> None:
     end = time.monotonic() + PATIENCE
     while not (found := xdo("search", "--name", log.name)) and time.monotonic() < end:
         time.sleep(0.5)
-    time.sleep(3.0)
-    xdo("windowmove", found, 0, 0, "windowsize", found, 1240, 700)
+    # When the log has been played its rows stay where they are: sorted, 16 px high, below a line of titles.
+    time.sleep(8.0)
+    xdo("windowsize", found.split()[0], 1240, 200, "windowmove", found.split()[0], 0, 0)
     time.sleep(1.0)
-    # Rows are 16 px high, below a line of titles; a double click opens a message.
-    for row in (4, 1):
-        xdo("mousemove", 60, 20 + 16 * row, "click", "--repeat", 2, "--delay", 60, 1)
-        time.sleep(1.5)
+    for place, (channel, row) in enumerate((("PLAN", 4), ("ACTUATOR_STATE", 1))):
+        xdo("mousemove", 60, 28 + 16 * row, "click", "--repeat", 2, "--delay", 80, 1)
+        time.sleep(4.0)
+        for window in xdo("search", "--name", channel).split()[:1]:
+            xdo("windowsize", window, 620, 500, "windowmove", window, 620 * place, 200)
+    time.sleep(2.0)

@@ -36,7 +36,7 @@ ENGINES = {
 }
 # Tol's muted colours that are far from those above, for the engines of plug-ins.
 GUEST_COLORS = ("#332288", "#882255", "#999933", "#AA4499", "#661100", "#117733")
-GUEST_MARKERS = ("X", "*", "<", ">", "p")
+GUEST_MARKERS = ("X", "<", ">", "p")
 GUEST_LINES = ((0, (8, 2)), (0, (3, 1, 1, 1)), (0, (6, 2, 1, 2)), (0, (2, 3)))
 
 SHAPES = {
@@ -49,6 +49,11 @@ SHAPES = {
     "D": "polygon(50% 0, 100% 50%, 50% 100%, 0 50%)",
     "p": "polygon(50% 0, 100% 38%, 81% 100%, 19% 100%, 0 38%)",
     "*": "polygon(50% 0, 63% 36%, 100% 38%, 71% 61%, 81% 98%, 50% 77%, 19% 98%, 29% 61%, 0 38%, 37% 36%)",
+    "h": "polygon(50% 0, 93% 25%, 93% 75%, 50% 100%, 7% 75%, 7% 25%)",
+    "d": "polygon(50% 0, 80% 50%, 50% 100%, 20% 50%)",
+    "8": "polygon(30% 0, 70% 0, 100% 30%, 100% 70%, 70% 100%, 30% 100%, 0 70%, 0 30%)",
+    "1": "polygon(44% 50%, 0 75%, 5% 85%, 50% 60%, 95% 85%, 100% 75%, 56% 50%, 56% 0, 44% 0)",
+    "2": "polygon(44% 50%, 0 25%, 5% 15%, 50% 40%, 95% 15%, 100% 25%, 56% 50%, 56% 100%, 44% 100%)",
     "P": "polygon(33% 0, 67% 0, 67% 33%, 100% 33%, 100% 67%, 67% 67%, 67% 100%, 33% 100%, 33% 67%, 0 67%, 0 33%,"
     " 33% 33%)",
     "X": "polygon(25% 0, 50% 25%, 75% 0, 100% 25%, 75% 50%, 100% 75%, 75% 100%, 50% 75%, 25% 100%, 0 75%, 25% 50%,"
@@ -59,12 +64,12 @@ SHAPES = {
 INK, SOFT, FAINT, GRID, PAPER = "#1A1C20", "#596069", "#9AA0A6", "#E2E3E5", "#FFFFFF"
 # Of series that are no engines: greys, with markers and lines of their own.
 SERIES = (
-    Appearance(INK, "o", "-"),
-    Appearance(SOFT, "s", "--"),
-    Appearance(FAINT, "^", "-."),
-    Appearance(INK, "D", ":"),
-    Appearance(SOFT, "v", (0, (5, 1, 1, 1, 1, 1))),
-    Appearance(FAINT, "P", (0, (1, 1))),
+    Appearance(INK, "*", "-"),
+    Appearance(SOFT, "h", "--"),
+    Appearance(FAINT, "d", "-."),
+    Appearance(INK, "8", ":"),
+    Appearance(SOFT, "1", (0, (5, 1, 1, 1, 1, 1))),
+    Appearance(FAINT, "2", (0, (1, 1))),
 )
 Fill = Literal["none", "left", "full", "bottom"]
 FILLS: tuple[Fill, ...] = ("none", "left", "full", "bottom")
