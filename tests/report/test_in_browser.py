@@ -104,32 +104,32 @@ def test_filter_sort_and_player_work(page: Path, tmp_path: Path) -> None:
 
 
 # A window is never as narrow as a phone, a frame is.
-IN_A_FRAME = """
+ON_A_PHONE = """
 <script>
-if (top === window) addEventListener("load", () => {
-  const frame = document.createElement("iframe");
-  frame.width = WIDTH; frame.height = 844; frame.srcdoc = document.documentElement.outerHTML;
-  document.body.replaceChildren(frame);
-  frame.addEventListener("load", () => { const said = frame.contentWindow.eval(`LOOK`); document.title = said; });
-});
-</script>
-"""
-LOOK = """
-(() => {
-  const small = [], sizes = (element) => parseFloat(getComputedStyle(element).fontSize);
+function look() {
+  const small = [], size = (element) => parseFloat(getComputedStyle(element).fontSize);
   for (const element of document.querySelectorAll("body *")) {
     const says = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
-    if (says && element.getClientRects().length && sizes(element) < 9) small.push(element.tagName);
+    if (says && element.getClientRects().length && size(element) < 9) small.push(element.tagName);
   }
-  const drawing = [...document.querySelectorAll("figure img")].map((one) => one.clientWidth).join(" ");
-  return [document.documentElement.scrollWidth, small.join(" "), drawing].join("|");
-})()
+  const drawings = [...document.querySelectorAll("figure img")].map((one) => one.clientWidth).join(" ");
+  return [document.documentElement.scrollWidth, small.join(" "), drawings].join("|");
+}
+if (top === window) addEventListener("load", async () => {
+  const frame = document.createElement("iframe");
+  const loaded = new Promise((done) => frame.addEventListener("load", done));
+  frame.width = 390; frame.height = 844; frame.style.border = 0;
+  frame.srcdoc = document.documentElement.outerHTML;
+  document.body.append(frame);
+  await loaded;
+  document.title = frame.contentWindow.look();
+});
+</script>
 """
 
 
 def test_page_on_a_phone_neither_scrolls_sideways_nor_has_text_below_9_px(page: Path, tmp_path: Path) -> None:
-    script = IN_A_FRAME.replace("WIDTH", "390").replace("LOOK", LOOK)
-    width, small, drawings = title_of(page, script, tmp_path / "profile").split("|")
+    width, small, drawings = title_of(page, ON_A_PHONE, tmp_path / "profile").split("|")
     assert int(width) <= 390
     assert small == ""
     # The drawing is 11 in wide, and its smallest letters are 7 pt: 9 px high they make it 9 / 7 of its points wide.
