@@ -14,7 +14,7 @@ LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__)
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow mutations lint bench messages headers c-planner clean
+.PHONY: help demo ode test test-slow mutations lint bench pages messages headers c-planner clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -42,6 +42,9 @@ lint: $(READY) ## Check style and types.
 
 bench: $(READY) ## Measure speed; prints a table and writes benchmarks/results.json.
 	$(BIN)/python -m benchmarks
+
+pages: $(VIEWERS) ## Write the pictures and tables of README and docs from results/.
+	$(BIN)/python tools/pages.py
 
 messages: $(READY) ## Generate lcmtypes/imolo_msgs from lcmtypes/*.lcm.
 	cd lcmtypes && ../$(BIN)/lcm-gen --python --ppath . *.lcm

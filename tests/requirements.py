@@ -7,6 +7,7 @@ in `OPTIONAL` is always required, so that the matrix cannot shrink unseen.
 import os
 import shutil
 from ctypes.util import find_library
+from importlib.util import find_spec
 
 import pytest
 
@@ -29,6 +30,7 @@ OPTIONAL = {
     "ode": lambda: BACKENDS.status("ode").problem,
     "drake": lambda: BACKENDS.status("drake").problem,
     "sapien": lambda: BACKENDS.status("sapien").problem,
+    "axe": lambda: "" if find_spec("axe_core_python") else "axe-core not found; pip install axe-core-python",
     "cc": lambda: _programs("gcc libc6-dev make", "gcc", "make"),
     "glib": lambda: "" if find_library("glib-2.0") else "libglib-2.0 not found; apt-get install libglib2.0-0",
     "jdk": lambda: _programs("default-jdk", "java", "javac", "jar"),

@@ -59,6 +59,7 @@ def compare(
         result, timings = comparison.compare(chosen, folder, jobs, bars.show)
     show(summary.render_comparison(result, timings.timing, chosen[0]))
     figures.draw_all(result, chosen, folder)
+    folder.save_origin()
     say(f"logs, tables, configs, figures, summary.json and timing.json are in {out}")
 
 
@@ -129,6 +130,7 @@ def hit(
         results, timing = comparison.hit({name: chosen}, {(name, method): table}, folder, jobs, bars.show)
     folder.save_config(chosen)
     folder.save_json("summary.json", comparison.summarise({name: chosen}, results, disagreement={}))
+    folder.save_origin()
     show(summary.render_results(results, timing, chosen))
     show(summary.render_causes(results))
     say(f"logs, config and summary.json are in {out}")

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -11,6 +10,17 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from imolo.campaigns.appearance import (
+    FAINT,
+    FILLS,
+    INK,
+    PAPER,
+    SOFT,
+    STYLE,
+    Appearance,
+    Fill,
+    engine_appearance,
+)
 from imolo.campaigns.campaign import hit_tasks, learning_tasks
 from imolo.campaigns.comparison import Comparison
 from imolo.campaigns.results import ResultsFolder
@@ -23,23 +33,13 @@ from imolo.messaging import channels
 from imolo.messaging.log import Log, read_log
 from imolo.method.commands import Commands
 from imolo.method.table import LookupTable
+from imolo.trials.metrics import MethodResult
 from imolo.trials.recordings import SHOWN, last_plan, marker_track
 
 Array = NDArray[np.float64]
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito, safe for colour-blind
-HIT_COLOR, MISS_COLOR, TRAINING_COLOR = "#D62728", "#9A9A9A", "#1F77B4"
-STYLE: Any = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "figure.dpi": 150,
-}
+HIT_COLOR, MISS_COLOR = INK, FAINT
+PASCALS = 1e-3  # to kPa
 
 
 def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder: ResultsFolder) -> list[Path]:
@@ -52,7 +52,7 @@ def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder
         "reach": draw_reach(named, folder, method),
         "hit_rates": draw_hit_rates(comparison, configs[0]),
     }
-    return [folder.save_figure(f"{name}.png", figure) for name, figure in drawings.items()]
+    return [folder.save_drawing(name, figure) for name, figure in drawings.items()]
 
 
 def draw_trajectories(named: dict[str, ExperimentConfig], folder: ResultsFolder, method: str) -> Figure:
@@ -65,7 +65,7 @@ def draw_trajectories(named: dict[str, ExperimentConfig], folder: ResultsFolder,
             training = _table(config, folder, method).training.position
             tasks = hit_tasks(config, folder.hits(name, method), method, Path())
             logs = [read_log(task.log_path, (*SHOWN, channels.BALL_STATE)) for task in tasks]
-            _draw_paths(row, logs, config, training)
+            _draw_paths(row, logs, config, training, engine_appearance(name).color)
             row[0].set_ylabel(f"{name}\nz [m]")
         for axes, title in zip(grid[0], ("ball, side view", f"{hand}, side view", f"{hand}, from behind"), strict=True):
             axes.set_title(title)
@@ -77,79 +77,115 @@ def draw_trajectories(named: dict[str, ExperimentConfig], folder: ResultsFolder,
     return figure
 
 
-def _draw_paths(row: Sequence[Axes], logs: Sequence[Log], config: ExperimentConfig, training: Array) -> None:
-    row[1].plot(training[:, 0], training[:, 2], ".", ms=2.5, color=TRAINING_COLOR)
-    row[2].plot(training[:, 1], training[:, 2], ".", ms=2.5, color=TRAINING_COLOR)
+def _draw_paths(
+    row: Sequence[Axes], logs: Sequence[Log], config: ExperimentConfig, training: Array, engine_color: str
+) -> None:
+    for axes, pair in ((row[1], [0, 2]), (row[2], [1, 2])):
+        axes.plot(*training[:, pair].T, ".", ms=2.0, color=FAINT)
     for log in logs:
         times = {event.event: event.utime * 1e-6 for event in log.messages[channels.TRIAL]}
         plan = last_plan(log)
         hit = times.get(EventName.TOUCH) if plan is not None else None
         end = hit if hit is not None else times.get(EventName.BALL_LANDED, np.inf)
-        color = MISS_COLOR if hit is None else "#333333"
+        color, line, width = (MISS_COLOR, (0, (4, 2)), 0.8) if hit is None else (engine_color, "-", 1.0)
         states = [s for s in log.messages[channels.BALL_STATE] if s.utime * 1e-6 <= end]
         ball = np.array([s.ball_position for s in states]).reshape(-1, 3)
-        row[0].plot(ball[:, 0], ball[:, 2], "-", lw=0.7, color=color, alpha=0.8)
+        row[0].plot(ball[:, 0], ball[:, 2], ls=line, lw=width, color=color)
         if hit is None or plan is None:
             continue
-        row[0].plot(*ball[-1, [0, 2]], "o", ms=4.5, mec=HIT_COLOR, mfc="none")
+        row[0].plot(*ball[-1, [0, 2]], "o", ms=4.0, mec=HIT_COLOR, mew=0.9, mfc=PAPER)
         time, hand = marker_track(log, body_of(config.robot).learning_marker)
         moving = (time >= plan.plan_onset_utime * 1e-6) & (time <= hit)
         hand = hand[moving]
         for axes, pair in ((row[1], [0, 2]), (row[2], [1, 2])):
-            axes.plot(*hand[:, pair].T, "-", lw=0.7, color=color, alpha=0.8)
-            axes.plot(*hand[-1, pair], "o", ms=4.5, mec=HIT_COLOR, mfc="none")
+            axes.plot(*hand[:, pair].T, ls=line, lw=width, color=color)
+            axes.plot(*hand[-1, pair], "o", ms=4.0, mec=HIT_COLOR, mew=0.9, mfc=PAPER)
 
 
 def _legend(axes: Axes) -> None:
-    axes.plot([], [], "-", color="#333333", lw=0.9, label="hit")
-    axes.plot([], [], "-", color=MISS_COLOR, lw=0.9, label="missed")
-    axes.plot([], [], "o", ms=4.5, mec=HIT_COLOR, mfc="none", ls="none", label="at the hit")
-    axes.plot([], [], ".", color=TRAINING_COLOR, label="training")
-    axes.legend(loc="lower right", ncols=2, fontsize=8)
+    axes.plot([], [], "-", color=SOFT, lw=1.0, label="hit, in the engine's colour")
+    axes.plot([], [], color=MISS_COLOR, lw=0.8, ls=(0, (4, 2)), label="missed")
+    axes.plot([], [], "o", ms=4.0, mec=HIT_COLOR, mew=0.9, mfc=PAPER, ls="none", label="at the hit")
+    axes.plot([], [], ".", color=FAINT, ls="none", label="training")
+    axes.legend(loc="lower right", ncols=2)
 
 
 def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) -> Figure:
-    """Draw target and measurement of every actuator channel in the last training motion on every backend."""
-    first = next(iter(named.values()))
+    """Draw every actuator channel in the last training motion: what was measured and, below, how the engines differ."""
+    (reference, first), *others = named.items()
     valves = first.simulation.actuators.channels
-    scale, unit = (1e-6, "gauge pressure [MPa]") if valves[0].unit == "Pa" else (1.0, f"[{valves[0].unit}]")
     columns = min(4, len(valves))
     rows = -(-len(valves) // columns)
+    heights = (1.0, 0.8) if others else (1.0,)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(2.75 * columns, 2.3 * rows), layout="constrained")
-        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for axes in grid.ravel()[len(valves) :]:
+        figure = Figure(figsize=(2.75 * columns, (2.9 if others else 2.0) * rows), layout="constrained")
+        grid = figure.subplots(rows * len(heights), columns, sharex=True, squeeze=False, height_ratios=heights * rows)
+        measured, gaps = grid[:: len(heights)].ravel().tolist(), grid[1::2].ravel().tolist()
+        for axes in (*measured[len(valves) :], *gaps[len(valves) :]):
             axes.set_axis_off()
-        # Ever thinner lines, since the engines' pressures all but lie on each other.
-        widths = np.linspace(3.4, 0.9, len(named))
-        for color, width, (name, config) in zip(COLORS, widths, named.items(), strict=False):
-            log = read_log(learning_tasks(config, folder.learning(name))[-1].log_path)
-            commands = Commands.from_message(log.messages[channels.ACTUATOR_COMMAND][-1], valves)
-            _draw_channels(grid.ravel().tolist(), valves, scale, log, commands, color=color, lw=width, label=name)
-        theta = first.training.motions[-1]
-        grid[-1, min(1, columns - 1)].legend(fontsize=8)
+        theirs = {name: _measured(config, folder) for name, config in named.items()}
+        _draw_measured(measured, valves, reference, *theirs[reference])
+        for name, _ in others:
+            _draw_gaps(gaps, valves, name, theirs[reference], theirs[name])
+        _share_limits(measured[: len(valves)])
+        _share_limits(gaps[: len(valves)])
         for axes in grid[-1]:
             axes.set_xlabel("time since onset [s]")
-        for axes in grid[:, 0]:
-            axes.set_ylabel(unit)
-        figure.suptitle(f"What the actuators measured, {first.motion.label(theta)}; dashed: target")
+        unit = "kPa" if valves[0].unit == "Pa" else valves[0].unit
+        for number in range(0, len(valves), columns):
+            measured[number].set_ylabel(f"{reference} [{unit}]")
+            if others:
+                gaps[number].set_ylabel(f"others less\n{reference} [{unit}]")
+        lines = [
+            line for axes in (measured[0], *gaps[:1]) for line in axes.lines if not line.get_label().startswith("_")
+        ]
+        figure.legend(handles=lines, loc="outside lower center", ncols=len(lines))
+        figure.suptitle(f"What the actuators measured, {first.motion.label(first.training.motions[-1])}")
     return figure
 
 
-def _draw_channels(
-    panels: Sequence[Axes], names: Sequence[Channel], scale: float, log: Log, commands: Commands, **line: Any
-) -> None:
+def _measured(config: ExperimentConfig, folder: ResultsFolder) -> tuple[Array, Array, Array]:
+    """Return time since the onset [s], shape (N,), and what was measured and asked for, shape (N, channels)."""
+    valves = config.simulation.actuators.channels
+    scale = PASCALS if valves[0].unit == "Pa" else 1.0
+    log = read_log(learning_tasks(config, folder.learning(config.backend.name))[-1].log_path)
+    commands = Commands.from_message(log.messages[channels.ACTUATOR_COMMAND][-1], valves)
     messages = log.messages[channels.ACTUATOR_STATE]
-    time = np.array([m.utime for m in messages])
-    pressure = np.array([m.measured for m in messages]) * scale
+    time = np.array([message.utime for message in messages])
+    nothing = np.full(len(valves), np.nan)
+    target = np.array([nothing if (t := commands.target(int(u))) is None else t for u in time]) * scale
     since = (time - commands.onset_utime) * 1e-6
     shown = since >= -0.05
-    nothing = np.full(len(names), np.nan)
-    target = np.array([nothing if (t := commands.target(int(u))) is None else t for u in time]) * scale
-    for valve, (name, axes) in enumerate(zip(names, panels, strict=False)):
-        axes.plot(since[shown], pressure[shown, valve], **line)
-        axes.plot(since[shown], target[shown, valve], color="#333333", lw=0.5, ls="--")
-        axes.set_title(name.name, fontsize=8.5)
+    return since[shown], np.array([message.measured for message in messages])[shown] * scale, target[shown]
+
+
+def _draw_measured(
+    panels: Sequence[Axes], valves: Sequence[Channel], name: str, time: Array, measured: Array, target: Array
+) -> None:
+    for valve, (channel, axes) in enumerate(zip(valves, panels, strict=False)):
+        axes.plot(time, measured[:, valve], color=engine_appearance(name).color, lw=1.4, label=name)
+        axes.plot(time, target[:, valve], color=INK, lw=0.7, ls=(0, (4, 2)), label="target")
+        axes.set_title(channel.name, fontsize=8.5)
+
+
+def _draw_gaps(
+    panels: Sequence[Axes],
+    valves: Sequence[Channel],
+    name: str,
+    reference: tuple[Array, Array, Array],
+    other: tuple[Array, Array, Array],
+) -> None:
+    time = reference[0][(reference[0] >= other[0][0]) & (reference[0] <= other[0][-1])]
+    look = engine_appearance(name)
+    for valve, axes in zip(range(len(valves)), panels, strict=False):
+        values = [np.interp(time, since, measured[:, valve]) for since, measured, _ in (reference, other)]
+        axes.plot(time, values[1] - values[0], color=look.color, ls=look.line, lw=0.9, label=name)
+
+
+def _share_limits(panels: Sequence[Axes]) -> None:
+    limits = [axes.get_ylim() for axes in panels]
+    for axes in panels:
+        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
 
 
 def _table(config: ExperimentConfig, folder: ResultsFolder, method: str) -> LookupTable:
@@ -167,7 +203,7 @@ def draw_reach(named: dict[str, ExperimentConfig], folder: ResultsFolder, method
         for column, name in zip(grid.T, named, strict=True):
             table = _table(named[name], folder, method)
             side = _scatter_seen(column[0], table, (0, 2), table.theta[:, -1], "viridis")
-            behind = _scatter_seen(column[1], table, (1, 2), table.theta[:, 0], "coolwarm")
+            behind = _scatter_seen(column[1], table, (1, 2), table.theta[:, 0], "cividis")
             column[0].set_title(f"{name}: {table.num_grid_points:,} grid points")
             column[0].set_xlabel("x [m]")
             column[1].set_xlabel("y [m]")
@@ -197,21 +233,27 @@ def draw_hit_rates(comparison: Comparison, config: ExperimentConfig) -> Figure:
     word = task_plugin(config).success
     with mpl.rc_context(STYLE):
         methods = list(next(iter(comparison.results.values())))
-        figure = Figure(figsize=(1.4 * len(comparison.results) + 3.0, 2.8), layout="constrained")
+        figure = Figure(figsize=(1.4 * len(comparison.results) + 3.2, 2.8), layout="constrained")
         axes = figure.subplots()
         for number, method in enumerate(methods):
-            at = np.arange(len(comparison.results)) + (number - 0.5 * (len(methods) - 1)) * 0.22
-            results = [by_method[method] for by_method in comparison.results.values()]
-            rate = np.array([r.hits / r.balls for r in results])
-            interval = np.array([r.interval for r in results])
-            error = np.abs(interval.T - rate)
-            axes.errorbar(at, rate, error, fmt="o", capsize=3, color=COLORS[number % len(COLORS)], label=method)
+            fill = FILLS[number % len(FILLS)] if number < len(methods) - 1 else "full"
+            shift = (number - 0.5 * (len(methods) - 1)) * 0.22
+            for place, (name, by_method) in enumerate(comparison.results.items()):
+                _draw_rate(axes, place + shift, by_method[method], engine_appearance(name), fill)
+            axes.plot([], [], "o", color=SOFT, fillstyle=fill, ls="none", label=method)
         for one in ROBOTS.load(config.robot.name).published:
             label = f"the robot itself, {one.successes}"
-            axes.axhline(one.rate, color="#555555", lw=0.8, ls="--", label=label)
+            axes.axhline(one.rate, color=SOFT, lw=0.8, ls="--", label=label)
         axes.set_xticks(range(len(comparison.results)), list(comparison.results))
         axes.set_xlim(-0.6, len(comparison.results) - 0.4)
         axes.set_ylim(0, 1.03)
         axes.set_ylabel(f"{word} rate (Wilson 95 %)")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def _draw_rate(axes: Axes, place: float, result: MethodResult, look: Appearance, fill: Fill) -> None:
+    rate = result.hits / result.balls
+    low, high = result.interval
+    error = ([max(rate - low, 0.0)], [max(high - rate, 0.0)])
+    axes.errorbar(place, rate, error, fmt=look.marker, ms=6.5, capsize=3, color=look.color, fillstyle=fill)

@@ -1,6 +1,8 @@
 """The folder that holds everything of an experiment, and what says how it came about."""
 
 import platform
+import shlex
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from pydantic import BaseModel
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import backend_options
 from imolo.config.yaml_file import dump_yaml
-from imolo.contracts.provenance import arithmetic, provenance
+from imolo.contracts.provenance import arithmetic, commit, provenance
 from imolo.contracts.registry import BACKENDS
 from imolo.errors import ResultsError
 from imolo.machine.files import TEMPORARY, whole_file
@@ -39,6 +41,22 @@ PACKAGES = (
     "dartpy",
     "Py3ODE",
 )
+
+
+class Origin(BaseModel):
+    """How a results folder came about.
+
+    Attributes:
+        command: As it was typed; the last one where a campaign went on.
+        commit: Of our code, see `imolo.contracts.provenance.commit`.
+        version: Of imolo.
+        machine: Where it ran, and on what processor.
+    """
+
+    command: str
+    commit: str
+    version: str
+    machine: str
 
 
 @dataclass(frozen=True)
@@ -116,16 +134,35 @@ class ResultsFolder:
         with self.file(f"configs/{config.backend.name}.yaml") as file:
             file.write(dump_yaml(content).encode())
 
-    def save_figure(self, name: str, figure: "Figure") -> Path:
-        """Write a figure to a file of this name among the figures, and return the file."""
-        with self.file(f"figures/{name}") as file:
-            figure.savefig(file, format=Path(name).suffix[1:], bbox_inches="tight", facecolor="white")
-        return self.figures / name
+    def save_figure(self, name: str, figure: "Figure", within: str = "figures") -> Path:
+        """Write a figure to a file of this name in a folder of this one, and return the file."""
+        from imolo.campaigns.appearance import write_figure
+
+        with self.file(f"{within}/{name}") as file:
+            write_figure(figure, file, Path(name).suffix[1:])
+        return self.path / within / name
+
+    def save_drawing(self, name: str, figure: "Figure", within: str = "figures") -> Path:
+        """Write a figure for papers and slides, PNG, and for the report, SVG; return the former."""
+        self.save_figure(f"{name}.svg", figure, within)
+        return self.save_figure(f"{name}.png", figure, within)
 
     def save_json(self, name: str, content: BaseModel) -> None:
         """Write numbers to a file of this name."""
         with self.file(name) as file:
             file.write(f"{content.model_dump_json(indent=1)}\n".encode())
+
+    def save_origin(self) -> None:
+        """Write how the results came about, when they are all there."""
+        self.save_json(
+            "origin.json",
+            Origin(
+                command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+                commit=commit(),
+                version=version("imolo"),
+                machine=f"{platform.system()} {platform.machine()}, {arithmetic()['processor']}",
+            ),
+        )
 
     @contextmanager
     def file(self, name: str) -> Iterator[BinaryIO]:

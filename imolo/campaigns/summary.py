@@ -80,18 +80,19 @@ def _plain(statistic: Statistic | None) -> str:
 
 def render_causes(results: Results) -> Table:
     """Return how often each cause made a miss, and how many balls from each position were hit."""
-    table = Table(
-        title="Why balls were missed, and hits by the position they were thrown from (Wilson 95 %)",
-        caption="Causes are defined in docs/experiments.md; they are told from the logs alone.",
-        **TABLE_STYLE,
-    )
-    for title in ("backend", "method"):
-        table.add_column(title, no_wrap=True, min_width=8)
     causes = [
         cause
         for cause in dict.fromkeys(cause for m in results.values() for r in m.values() for cause in r.causes)
         if any(r.causes.get(cause) for m in results.values() for r in m.values())
     ]
+    missed = "Why balls were missed, and hits by the position they were thrown from"
+    table = Table(
+        title=f"{missed if causes else 'Hits by the position balls were thrown from'} (Wilson 95 %)",
+        caption="Causes are defined in docs/experiments.md; they are told from the logs alone." if causes else None,
+        **TABLE_STYLE,
+    )
+    for title in ("backend", "method"):
+        table.add_column(title, no_wrap=True, min_width=8)
     for title in ("missed", *(cause.replace(" ", "\n") for cause in causes), "from each position"):
         table.add_column(title, justify="right")
     for backend, methods in results.items():

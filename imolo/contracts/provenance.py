@@ -1,6 +1,7 @@
 """Where results come from: the code of a plug-in, the packages, and how the processor computes."""
 
 import hashlib
+import subprocess
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -77,6 +78,15 @@ def _package(module: str) -> str:
         if spec is None or spec.origin is not None:
             return ".".join(parts[:count])
     return module
+
+
+def commit() -> str:
+    """Return which commit our code is, with `-dirty` where it was changed since; empty where it is in no repository."""
+    command = ("git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
 
 
 @lru_cache

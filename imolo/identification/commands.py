@@ -59,5 +59,6 @@ def identify(
         tables, figure = report.render(fits), report.figure(fits)
         files = "patches/ENGINE.yaml holds"
     show(tables)
-    folder.save_figure("identification.png", figure)
+    folder.save_drawing("identification", figure)
+    folder.save_origin()
     say(f"results are in {out}; {files} what to put into a config")

@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from imolo.campaigns.figures import COLORS, STYLE
+from imolo.campaigns.appearance import FAINT, INK, SOFT, STYLE
 from imolo.campaigns.summary import TABLE_STYLE
 from imolo.identification.facts_study import FactFound, FactsResult
 
@@ -80,9 +80,9 @@ def figure(result: FactsResult) -> Figure:
         axis = drawn.subplots()
         for row, one in enumerate(result.settings):
             low, high, best, start = (_place(value, one.searched) for value in (one.low, one.high, one.best, one.start))
-            axis.plot([low, high], [row, row], color=COLORS[0], lw=5, alpha=0.35, solid_capstyle="butt")
-            axis.plot(best, row, "o", color=COLORS[0], label="best, with the ensemble's range" if row == 0 else None)
-            axis.plot(start, row, "|", color="black", ms=10, label="as it is" if row == 0 else None)
+            axis.plot([low, high], [row, row], color=FAINT, lw=5, solid_capstyle="butt")
+            axis.plot(best, row, "o", color=INK, label="best, with the ensemble's range" if row == 0 else None)
+            axis.plot(start, row, "|", color=SOFT, mew=2, ms=11, label="as it is" if row == 0 else None)
         axis.set_yticks(range(len(result.settings)), [one.path for one in result.settings])
         axis.invert_yaxis()
         axis.set_xlim(0.0, 1.0)

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from imolo.campaigns.figures import COLORS, STYLE
+from imolo.campaigns.appearance import FILLS, SOFT, STYLE, engine_appearance
 from imolo.campaigns.summary import TABLE_STYLE
 from imolo.identification.judge import Spread
 from imolo.identification.study import Identification
@@ -155,27 +156,32 @@ def figure(result: Identification) -> Figure:
         axes = drawn.subplots(1, len(result.quantities), squeeze=False, sharey=True)[0]
         names = ("default", "simplest", "full")
         for axis, (quantity, unit, factor) in zip(axes, result.quantities, strict=True):
-            for row, found in enumerate(result.engines.values()):
+            for row, (engine, found) in enumerate(result.engines.items()):
+                look = engine_appearance(engine)
                 for one in found.candidates:
                     value = one.sizes.get(quantity)
                     if value is None:
                         continue
                     index = names.index(one.name)
                     mean, low, high = (factor * number for number in (value.mean, value.low, value.high))
+                    place = row + 0.24 * (index - 1)
                     axis.errorbar(
                         mean,
-                        row + 0.22 * (index - 1),
+                        place,
                         xerr=[[mean - low], [high - mean]],
-                        fmt="o^s"[index],
-                        color=COLORS[index],
-                        fillstyle="full" if one.name == found.taken else "none",
-                        label=one.name if row == 0 else None,
+                        fmt=look.marker,
+                        color=look.color,
+                        fillstyle=FILLS[index],
                     )
+                    if one.name == found.taken:
+                        axis.annotate("*", (high, place), (4, -4), textcoords="offset points", va="center")
             axis.set_xlabel(f"{quantity} off [{unit}]")
             axis.set_xlim(left=0.0)
         axes[0].set_yticks(range(len(result.engines)), list(result.engines))
         axes[0].invert_yaxis()
-        drawn.legend(*axes[-1].get_legend_handles_labels(), title="fit; filled: taken", loc="outside right upper")
+        marks = [Line2D([], [], color=SOFT, marker="o", ls="none", fillstyle=FILLS[i]) for i in range(len(names))]
+        drawn.legend(marks, names, title="fit; * is taken", loc="outside right upper")
+        drawn.suptitle(result.title)
     return drawn
 
 

@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imolo.campaigns.figures import COLORS, STYLE
+from imolo.campaigns.appearance import STYLE, appearances, element_colors, write_figure
 from imolo.command_line.terminal import plain
 from imolo.errors import ResultsError
 from imolo.inspect.fields import Selector
 from imolo.inspect.series import Series, read_series
 from imolo.messaging.log import LOG_SUFFIX
 
-LINES = ("-", "--", ":", "-.")  # one for each log; the colour is the element of the field
 MANY = 8  # columns of a field beyond which a legend says less than nothing
 
 
@@ -44,8 +44,13 @@ def draw_fields(paths: Sequence[Path], selectors: Sequence[Selector], trial: int
 
 
 def _draw_field(axes: Axes, names: Sequence[str], logs: Sequence[Series], selector: Selector) -> None:
-    for number, (name, found) in enumerate(zip(names, logs, strict=True)):
+    looks = appearances([found.backend for found in logs])
+    # Ever thinner lines, since runs may all but lie on each other.
+    widths = np.linspace(1.1 + 0.9 * (len(logs) - 1), 1.1, len(logs))
+    for look, width, name, found in zip(looks, widths, names, logs, strict=True):
         several = len(found.labels) > 1
+        # The colour is the engine, or the element where there are many; then the line alone tells the engine.
+        colors = element_colors(len(found.labels)) if several else [look.color]
         for column, label in enumerate(found.labels):
             element = label.removeprefix(selector.channel + ".") if several else ""
             text = " ".join(part for part in (element, name if len(logs) > 1 else "") if part)
@@ -54,11 +59,12 @@ def _draw_field(axes: Axes, names: Sequence[str], logs: Sequence[Series], select
             axes.plot(
                 found.time,
                 found.values[:, column],
-                LINES[number % len(LINES)],
+                linestyle=look.line if len(logs) > 1 else "-",
                 marker=marker,
-                color=COLORS[(column if several else number) % len(COLORS)],
+                color=colors[column],
                 label=text,
-                linewidth=1.1,
+                linewidth=width,
+                alpha=1.0 if width == widths[-1] else 0.45,
             )
     axes.set_title(selector.text, loc="left")
     unit = logs[0].unit
@@ -96,7 +102,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, bbox_inches="tight", facecolor="white")
+        write_figure(figure, path, path.suffix[1:])
     except (OSError, ValueError) as error:
         raise ResultsError(f"cannot write the figure {path}: {error}") from error
 

@@ -1,7 +1,7 @@
 """Fields of a log over time, in memory that does not depend on the length of the log."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +30,14 @@ class Series:
         values: Shape (N, K); NaN where a message has no such element, and between two trials.
         labels: What each of the K columns is.
         unit: Of all values; empty where it is not known.
+        backend: Whose run it is; empty where the log does not say it.
     """
 
     time: Array
     values: Array
     labels: tuple[str, ...]
     unit: str = ""
+    backend: str = ""
 
 
 def envelope(rows: Array) -> Array:
@@ -81,7 +83,8 @@ def read_series(
             for collector in collected:
                 collector.add(heard)
     names = Names.of(path)
-    found = [collector.finish(timeline.origin, names) for collector in collected]
+    backend = timeline.events.start.backend if timeline.events.start is not None else ""
+    found = [replace(collector.finish(timeline.origin, names), backend=backend) for collector in collected]
     for selector, series in zip(selectors, found, strict=True):
         if required and not len(series.time):
             heard_of = ", ".join(name for name in CHANNELS if name in timeline.events.heard)

@@ -3,7 +3,8 @@
 import base64
 import json
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from imolo import __version__
-from imolo.campaigns.figures import COLORS
+from imolo.campaigns.appearance import engine_appearance, swatch
 from imolo.campaigns.summary import millimetres
 from imolo.config.loading import body_of, known_body, task_plugin
 from imolo.contracts.registry import ROBOTS
@@ -31,12 +32,13 @@ from imolo.trials.metrics import HORIZONS, wilson_interval
 PICTURE_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 CAPTIONS = {
     "trajectories": "Ball and right hand until the hit, for the last method.",
-    "pressures": "Pressures behind the valves in the last training motion; dashed: the targets.",
+    "pressures": "The last training motion: what the first engine's actuators measured, and how the others differ.",
     "reach": "Where the lookup table can bring the hand.",
     "hit_rates": "Hit rates with their Wilson 95 % intervals.",
     "waterfall": "What each swap explains of the disagreement.",
     "ball": "Error and calibration against the lead time.",
 }
+SMALLEST_TEXT = 9.0  # [px] in a figure on a narrow screen, which is scrolled in its frame
 FAILURES = {"missed": "miss", "no motion found": "none"}  # classes of the stylesheet; a success is "hit"
 
 Progress = Callable[[str, int, int], None]
@@ -79,12 +81,14 @@ def write_report(folder: Path, out: Path, progress: Progress = lambda *_: None) 
         raise ResultsError(
             f"{folder} holds no summary.json and no other results; `imolo compare --out {folder}` writes them"
         )
+    prepared = [_section(section, folder) for section in sections]
     missing = tuple(t.log_path for t in campaign.trials if not t.log_path.exists()) if campaign else ()
     shown = {name for section in sections for name in section.figures}
     context: dict[str, Any] = {
         "name": folder.resolve().name,
         "version": __version__,
-        "sections": [_section(section, folder) for section in sections],
+        "sections": prepared,
+        "title": _title(campaign, prepared),
         "figures": [_figure(path) for path in _pictures(folder / "figures") if f"figures/{path.name}" not in shown],
         "campaign": None,
         "data": None,
@@ -123,6 +127,14 @@ def _as_script(content: Any) -> Markup:
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
+def _title(campaign: Campaign | None, sections: Sequence[dict[str, Any]]) -> str:
+    """Return what the folder holds in a few words: the task that was played, or the study."""
+    if campaign is not None:
+        return task_plugin(next(iter(campaign.configs.values()))).title
+    titles = [str(section.get("study") or section["title"]) for section in sections]
+    return titles[0] if len(titles) == 1 else "Results"
+
+
 def _section(section: Section, folder: Path) -> dict[str, Any]:
     figures = [_figure(folder / name) for name in section.figures if (folder / name).exists()]
     prepared = section.prepare(folder / section.file)
@@ -132,23 +144,40 @@ def _section(section: Section, folder: Path) -> dict[str, Any]:
         "file": section.file,
         "template": section.template,
         "figures": figures,
+        "study": "",
         **prepared,
     }
 
 
 def _pictures(folder: Path) -> list[Path]:
     known = list(CAPTIONS)
-    found = [path for path in folder.glob("*") if path.suffix in PICTURE_TYPES]
+    found = [path for path in folder.glob("*") if path.suffix in PICTURE_TYPES and path == _drawn(path)]
     return sorted(found, key=lambda path: (known.index(path.stem) if path.stem in known else len(known), path.name))
+
+
+def _drawn(path: Path) -> Path:
+    """Return the drawing beside a picture, which follows dark pages and can be read at any size."""
+    drawing = path.with_suffix(".svg")
+    return drawing if drawing.exists() else path
 
 
 def _figure(path: Path) -> dict[str, Any]:
     try:
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        content = _drawn(path).read_bytes()
     except OSError as error:
         raise ResultsError(f"cannot read the figure {path}: {error.strerror}; remove it, or draw it again") from error
     caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
-    return {"caption": caption, "source": f"data:{PICTURE_TYPES[path.suffix]};base64,{data}"}
+    kind, data = PICTURE_TYPES[_drawn(path).suffix], base64.b64encode(content).decode("ascii")
+    return {"caption": caption, "source": f"data:{kind};base64,{data}", **_sizes(content.decode(errors="replace"))}
+
+
+def _sizes(drawing: str) -> dict[str, float | None]:
+    """Return how wide a drawing of ours is [pt], and how wide its smallest text is large enough [px]."""
+    width = re.search(r'viewBox="0 0 ([\d.]+) ', drawing)
+    texts = [float(size) for size in re.findall(r"font(?:-size)?: ([\d.]+)px", drawing)]
+    if width is None or not texts:
+        return {"width": None, "least": None}
+    return {"width": round(float(width[1]), 1), "least": round(float(width[1]) * SMALLEST_TEXT / min(texts), 1)}
 
 
 def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
@@ -157,6 +186,7 @@ def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
     methods = list(dict.fromkeys(method for by_method in campaign.results.values() for method in by_method))
     return {
         "campaign": campaign,
+        "swatches": _swatches(campaign),
         "colors": _colors(campaign),
         "methods": methods,
         "horizons": [f"{horizon:.2f}" for horizon in HORIZONS],
@@ -174,7 +204,11 @@ def _campaign(campaign: Campaign, folder: Path, out: Path) -> dict[str, Any]:
 
 
 def _colors(campaign: Campaign) -> dict[str, str]:
-    return {backend: COLORS[number % len(COLORS)] for number, backend in enumerate(campaign.results)}
+    return {backend: engine_appearance(backend).color for backend in campaign.results}
+
+
+def _swatches(campaign: Campaign) -> dict[str, str]:
+    return {backend: swatch(engine_appearance(backend)) for backend in campaign.results}
 
 
 def _published(one: Published) -> dict[str, Any]:
@@ -256,5 +290,6 @@ def _replay(campaign: Campaign, out: Path, progress: Progress) -> dict[str, Any]
         "robot": None if body is None else robot_shapes(body),
         "radius": radius,
         "colors": _colors(campaign),
+        "swatches": _swatches(campaign),
         "trials": trials,
     }

@@ -210,7 +210,8 @@ def identification_tables(path: Path) -> Context:
     ]
     if result.differences:
         grids.insert(1, Grid(identification_report.PAIRS_TITLE, pair_columns(result), pair_rows(result)))
-    return {"note": " ".join([f"{result.title}.", identification_report.FITS_NOTE, *problems(result)]), "grids": grids}
+    note = " ".join([identification_report.FITS_NOTE, *problems(result)])
+    return {"study": result.title, "note": note, "grids": grids}
 
 
 def facts_tables(path: Path) -> Context:
@@ -220,7 +221,8 @@ def facts_tables(path: Path) -> Context:
         Grid("Facts", facts_report.FACT_COLUMNS, facts_report.fact_rows(result)),
         Grid(facts_report.SETTINGS_TITLE, facts_report.SETTING_COLUMNS, facts_report.setting_rows(result)),
     ]
-    return {"note": f"{result.title}. {facts_report.FACTS_NOTE}. {facts_report.summary(result)}", "grids": grids}
+    note = f"{facts_report.FACTS_NOTE}. {facts_report.summary(result)}"
+    return {"study": result.title, "note": note, "grids": grids}
 
 
 SECTIONS = (

@@ -134,7 +134,7 @@ def _markers(log: Log) -> Packed:
 
 
 def _plans(log: Log) -> Packed:
-    """Return what the planner meant to do: its state, the target where there is one, and the predicted path."""
+    """Return what the planner meant to do and when: its state, the target, and the predicted path."""
     plans = thinned(log.messages[channels.PLAN], PLAN_RATE)
     paths = [_path(plan) for plan in plans]
     return {
@@ -142,6 +142,7 @@ def _plans(log: Log) -> Packed:
         "state": [plan.state for plan in plans],
         "started": [int(plan.plan_onset_utime > 0) for plan in plans],
         "target": pack([plan.target_position for plan in plans]),
+        "due": pack([plan.hit_utime * 1e-6 for plan in plans]),
         "count": [len(path) for path in paths],
         "path": pack(np.concatenate(paths)),
     }

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from imolo.campaigns.figures import COLORS, MISS_COLOR, STYLE
+from imolo.campaigns.appearance import FAINT, SOFT, STYLE
 from imolo.campaigns.summary import TABLE_STYLE
 from imolo.studies.attribution import Attribution, SwapResult
 from imolo.trials.metrics import Statistic
@@ -61,18 +61,19 @@ def draw_waterfall(answer: Attribution) -> Figure:
         figure = Figure(figsize=(7.5, 0.55 * len(labels) + 1.0), layout="constrained")
         axes = figure.subplots()
         rows = range(len(labels))
-        axes.barh(rows[0], heights[0], color=MISS_COLOR, height=0.6)
-        axes.barh(rows[-1], heights[-1], color=MISS_COLOR, height=0.6)
+        axes.barh(rows[0], heights[0], color=FAINT, height=0.6)
+        axes.barh(rows[-1], heights[-1], color=FAINT, height=0.6)
         axes.text(heights[0], rows[0], f" {heights[0]:.1f}", va="center")
         axes.text(heights[-1], rows[-1], f" {heights[-1]:.1f}", va="center")
         for row, (before, after) in enumerate(pairwise(heights), start=1):
-            axes.barh(row, before - after, left=after, color=COLORS[0], height=0.6)
-            axes.plot([before, before], [row - 1, row], color="#555555", lw=0.6)
+            axes.barh(row, before - after, left=after, color=SOFT, height=0.6)
+            axes.plot([before, before], [row - 1, row], color=SOFT, lw=0.6)
             axes.text(before, row, f" -{before - after:.1f}", va="center")
-        axes.plot([heights[-1]] * 2, rows[-2:], color="#555555", lw=0.6)
+        axes.plot([heights[-1]] * 2, rows[-2:], color=SOFT, lw=0.6)
         axes.set_yticks(rows, labels, fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, 1.12 * max(heights))
         axes.set_xlabel(f"distance of the hands, mean over {answer.motions} motions [mm]")
         axes.grid(axis="y", visible=False)
+        axes.set_title(f"What makes the hands of {' and '.join(answer.backends)} part", loc="left")
     return figure

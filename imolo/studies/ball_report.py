@@ -1,7 +1,5 @@
 """The rating of ball models as a table and a figure."""
 
-from typing import BinaryIO
-
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,11 +9,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from imolo.ball.evaluation import PROTOCOLS, Evaluation, Rating
-from imolo.campaigns.figures import COLORS
-from imolo.campaigns.figures import STYLE as FIGURE_STYLE
+from imolo.campaigns.appearance import INK, SERIES
+from imolo.campaigns.appearance import STYLE as FIGURE_STYLE
 from imolo.campaigns.summary import TABLE_STYLE
 
-MODEL_COLORS = {"linear": COLORS[1], "drag": COLORS[0], "spin": COLORS[2]}
+MODEL_LOOKS = dict(zip(("spin", "drag", "linear"), SERIES, strict=False))
 MODEL_NAMES = {"linear": "linear (paper)", "drag": "drag", "spin": "drag and lift"}
 MOST_NAMED = 5  # of the flights that were left out; ball.json names all
 
@@ -63,7 +61,7 @@ def _table(evaluation: Evaluation, protocol: str) -> Table:
     return table
 
 
-def draw_evaluation(evaluation: Evaluation, file: BinaryIO) -> None:
+def draw_evaluation(evaluation: Evaluation) -> Figure:
     """Draw error and calibration against the lead time, both for the last point of each flight."""
     with mpl.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.0, 3.4), layout="constrained")
@@ -76,21 +74,21 @@ def draw_evaluation(evaluation: Evaluation, file: BinaryIO) -> None:
         error.set(xlabel="lead time [s]", ylabel="distance to the ball [mm]", xlim=(0.0, None), ylim=(0.0, None))
         error.set_title("Error: mean, and 5 to 95 % of the flights", loc="left", fontsize=9)
         error.legend(loc="upper left")
-        calibration.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+        calibration.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
         calibration.set(xlabel="lead time [s]", ylabel="NEES / 3", yscale="log", xlim=(0.0, None))
         _include_decade(calibration)
         calibration.set_title("Calibration: 1 is right, more is too sure", loc="left", fontsize=9)
-        figure.savefig(file, format="png", facecolor="white")
+    return figure
 
 
 def _draw_model(error: Axes, calibration: Axes, ratings: list[Rating]) -> None:
     model, horizons = ratings[0].model, [rating.horizon for rating in ratings]
-    color = MODEL_COLORS[model]
+    look = MODEL_LOOKS[model]
     low, high = ([1e3 * rating.quantiles[i] for rating in ratings] for i in (0, 4))
-    error.fill_between(horizons, low, high, color=color, alpha=0.12, linewidth=0.0)
+    error.fill_between(horizons, low, high, color=look.color, alpha=0.15, linewidth=0.0)
     means = [1e3 * rating.mean for rating in ratings]
-    error.plot(horizons, means, color=color, marker="o", markersize=4, label=MODEL_NAMES[model])
-    calibration.plot(horizons, [rating.nees for rating in ratings], color=color, marker="o", markersize=4)
+    error.plot(horizons, means, **look.style(markersize=4, label=MODEL_NAMES[model]))
+    calibration.plot(horizons, [rating.nees for rating in ratings], **look.style(markersize=4))
 
 
 def _include_decade(axes: Axes) -> None:

@@ -78,8 +78,8 @@ def ball(
             result = study.rate_simulated(chosen, balls, folder, jobs, bars.show)
     show(ball_report.render_evaluation(result))
     folder.save_json("ball.json", result)
-    with folder.file("ball.png") as file:
-        ball_report.draw_evaluation(result, file)
+    folder.save_drawing("ball", ball_report.draw_evaluation(result), within=".")
+    folder.save_origin()
     say(f"ball.json and ball.png are in {out}")
 
 
@@ -109,7 +109,8 @@ def interpolation(
     with ProgressBars(kept_in(out)) as bars:
         result = interpolation_study.study(chosen, counts, repetitions, pool, folder, jobs, bars.show)
     show(interpolation_report.render_study(result))
-    folder.save_figure("interpolation.png", interpolation_report.draw_study(result))
+    folder.save_drawing("interpolation", interpolation_report.draw_study(result))
+    folder.save_origin()
     say(f"logs, configs, interpolation.json and figures/interpolation.png are in {out}")
 
 
@@ -137,7 +138,8 @@ def transfer(
     with ProgressBars(kept_in(out)) as bars:
         result = study.transfer(chosen, motions, folder, jobs, bars.show)
     show(transfer_report.render_transfer(result))
-    folder.save_figure("transfer.png", transfer_report.draw_transfer(result))
+    folder.save_drawing("transfer", transfer_report.draw_transfer(result))
+    folder.save_origin()
     say(f"logs, tables, configs, transfer.json and figures/transfer.png are in {out}")
 
 
@@ -169,7 +171,8 @@ def trials(
     with ProgressBars(kept_in(out)) as bars:
         result = study.study(chosen, counts, sizes, folder, jobs, bars.show)
     show(sample_efficiency_report.render_study(result))
-    folder.save_figure("trials.png", sample_efficiency_report.draw_study(result))
+    folder.save_drawing("trials", sample_efficiency_report.draw_study(result))
+    folder.save_origin()
     say(f"logs, configs, trials.json and figures/trials.png are in {out}")
 
 
@@ -202,7 +205,8 @@ def attribute(
     with ProgressBars(kept_in(out)) as bars:
         answer = attribute_disagreement(configs, folder, jobs, bars.show)
     show(attribution_report.render_attribution(answer))
-    path = folder.save_figure("waterfall.png", attribution_report.draw_waterfall(answer))
+    path = folder.save_drawing("waterfall", attribution_report.draw_waterfall(answer))
+    folder.save_origin()
     say(f"numbers are in {out / 'attribution.json'}, the waterfall is {path}")
 
 

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from imolo.campaigns.figures import COLORS
-from imolo.campaigns.figures import STYLE as FIGURE_STYLE
+from imolo.campaigns.appearance import FAINT, INK, PAPER, SOFT
+from imolo.campaigns.appearance import STYLE as FIGURE_STYLE
 from imolo.campaigns.summary import TABLE_STYLE, millimetres
 from imolo.errors import ConfigError
 from imolo.studies.interpolation import LOOSE, MODELS, RATED, STANDARDIZED, VARIANTS, WITHOUT, Interpolation
@@ -21,7 +21,7 @@ from imolo.studies.interpolation_study import InterpolationStudy
 # Sec. VI: the p values in the text, and the sign of with - without. The text gives no means, and no sign at 24 trials.
 PAPER_TESTS: dict[int, tuple[float, int]] = {8: (0.02, -1), 16: (0.0001, +1), 24: (0.07, 0)}
 SIGNIFICANT = 0.05
-VARIANT_COLORS = {WITHOUT: "#9A9A9A", "paper": COLORS[1], "improved": COLORS[0]}
+VARIANT_FILLS = {WITHOUT: (PAPER, ""), "paper": (FAINT, "////"), "improved": (SOFT, "")}
 VARIANT_NAMES = {WITHOUT: "without", "paper": "with, paper's SVR", "improved": "with, GPR (ours)"}
 BARS_TITLE = "Distance of the executed hand to the query, Sec. VI, Fig. 7"
 BARS_NOTE = (
@@ -184,8 +184,10 @@ def _draw_bars(axes: Axes, result: Interpolation) -> None:
         sd = np.array([1e3 * (bar.error.sd or 0.0) for bar in bars])
         at = places + (number - 0.5 * (len(VARIANTS) - 1)) * width
         # A distance is not negative, so the whisker ends at zero.
-        axes.bar(at, mean, 0.9 * width, color=VARIANT_COLORS[variant], label=VARIANT_NAMES[variant])
-        axes.errorbar(at, mean, (np.minimum(sd, mean), sd), fmt="none", ecolor="#333333", elinewidth=0.8, capsize=2)
+        fill, hatch = VARIANT_FILLS[variant]
+        label = VARIANT_NAMES[variant]
+        axes.bar(at, mean, 0.9 * width, color=fill, ec=SOFT, hatch=hatch, label=label)
+        axes.errorbar(at, mean, (np.minimum(sd, mean), sd), fmt="none", ecolor=INK, elinewidth=0.8, capsize=2)
         tops = np.maximum(tops, mean + sd)
     step = 0.07 * float(tops.max())
     for number, model in enumerate(MODELS, start=1):
@@ -195,7 +197,7 @@ def _draw_bars(axes: Axes, result: Interpolation) -> None:
                 continue
             height = top + (1.2 * number - 0.7) * step
             start = place - 0.5 * (len(VARIANTS) - 1) * width
-            axes.plot([start, start + number * width], [height, height], color="#333333", lw=0.8)
+            axes.plot([start, start + number * width], [height, height], color=INK, lw=0.8)
             axes.text(start + 0.5 * number * width, height - 0.2 * step, stars, ha="center", fontsize=9)
     axes.set_xticks(places, [f"$N_t$ = {n}" for n in trials])
     axes.set_ylim(0.0, float(tops.max()) + 3.5 * step)

@@ -1,5 +1,7 @@
 """Hand error against number of trials, as a table and as curves."""
 
+from typing import Any
+
 import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -7,8 +9,8 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from imolo.campaigns.figures import COLORS
-from imolo.campaigns.figures import STYLE as FIGURE_STYLE
+from imolo.campaigns.appearance import GRID, SERIES, SOFT, Appearance, engine_appearance
+from imolo.campaigns.appearance import STYLE as FIGURE_STYLE
 from imolo.campaigns.summary import TABLE_STYLE
 from imolo.studies.sample_efficiency import (
     ACTIVE,
@@ -22,6 +24,7 @@ from imolo.studies.sample_efficiency import (
 )
 from imolo.studies.transfer_report import PAPER_HAND_ERROR
 
+DODGE = 0.2  # [trials] between the points of two models
 SETTINGS = (UNDISTURBED, CONFIGURED)
 
 
@@ -78,7 +81,7 @@ def draw_study(study: SampleEfficiency) -> Figure:
     """Draw the curves: a column for each backend, a row for each setting."""
     with mpl.rc_context(FIGURE_STYLE):
         names = backends(study)
-        figure = Figure(figsize=(2.7 * len(names) + 1.0, 5.6), layout="constrained")
+        figure = Figure(figsize=(3.0 * len(names) + 0.6, 6.4), layout="constrained")
         panels = figure.subplots(2, len(names), squeeze=False, sharex=True, sharey=True)
         handles: dict[str, Artist] = {}
         for row, setting in zip(panels, SETTINGS, strict=True):
@@ -95,16 +98,24 @@ def draw_study(study: SampleEfficiency) -> Figure:
 
 def _draw(axes: Axes, study: SampleEfficiency, backend: str, setting: str) -> dict[str, Artist]:
     handles: dict[str, Artist] = {}
-    colors = {PAPER: "#9A9A9A", PLAIN: "#333333", ACTIVE: "#333333"}
-    for number, name in enumerate(backends(study)):
-        colors |= {upon(name): COLORS[number], upon(name, active=True): COLORS[number]}
-    for model in models(study, backend):
+    shown = models(study, backend)
+    looks = {PAPER: SERIES[2], PLAIN: SERIES[0], ACTIVE: SERIES[0]}
+    for name in backends(study):
+        looks |= dict.fromkeys((upon(name), upon(name, active=True)), engine_appearance(name))
+    for number, model in enumerate(shown):
         points = study.curve(backend, setting, model)
         errors = [1e3 * (point.error.mean or 0.0) for point in points]
-        style = "--" if model.endswith("active") else "-"
-        (handles[model],) = axes.plot([p.trials for p in points], errors, style, marker="o", ms=3, color=colors[model])
-    handles["floor"] = axes.axhspan(0.0, 1e3 * (study.floor(backend, setting) or 0.0), color="#DDDDDD", lw=0)
-    handles["paper's robot"] = axes.axhline(1e3 * PAPER_HAND_ERROR, color="#D62728", lw=0.8, ls=":")
+        # Side by side, since many curves lie on each other.
+        beside = DODGE * (number - 0.5 * (len(shown) - 1))
+        line = _line(looks[model], active=model.endswith("active"))
+        (handles[model],) = axes.plot([point.trials + beside for point in points], errors, **line)
+    handles["floor"] = axes.axhspan(0.0, 1e3 * (study.floor(backend, setting) or 0.0), color=GRID, lw=0)
+    handles["paper's robot"] = axes.axhline(1e3 * PAPER_HAND_ERROR, color=SOFT, lw=1.0, ls=(0, (1, 2)))
     axes.set_yscale("log")
     axes.set_ylim(2.0, 400.0)
     return handles
+
+
+def _line(look: Appearance, *, active: bool) -> dict[str, Any]:
+    """Return how a model is drawn; open where it chose its trials itself."""
+    return look.style(markersize=4.5, linewidth=0.8 if active else 1.2, fillstyle="none" if active else "full")

@@ -8,12 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from imolo.campaigns.figures import STYLE as FIGURE_STYLE
+from imolo.campaigns.appearance import FAINT, INK
+from imolo.campaigns.appearance import STYLE as FIGURE_STYLE
 from imolo.campaigns.summary import TABLE_STYLE, millimetres
 from imolo.studies.transfer import Cell, Transfer
 
 PAPER_HAND_ERROR = 0.0129  # [m] Sec. VII-C
 WORST_HAND_ERROR = 0.05  # [m] where the colours end
+LIGHT = "#FDFDFD"  # on a dark cell, whatever the page
 LUMA = (0.299, 0.587, 0.114)  # of red, green and blue in the brightness, ITU-R BT.601
 ALONE = "trials alone"
 
@@ -68,19 +70,19 @@ def draw_transfer(result: Transfer) -> Figure:
         figure = Figure(figsize=(9.5, 6.8), layout="constrained")
         panels = figure.subplots(2, 2, squeeze=False)
         for column, corrected in zip(panels.T, (False, True), strict=True):
-            _draw(column[0], result, corrected, lambda cell: 100.0 * cell.rate, "hit rate [%]", "viridis", 100.0)
+            _draw(column[0], result, corrected, lambda cell: 100.0 * cell.rate, "hit rate [%]", "cividis", 100.0)
             _draw(
                 column[1],
                 result,
                 corrected,
                 lambda cell: np.nan if cell.hand_error.mean is None else 1e3 * cell.hand_error.mean,
                 "hand error [mm]",
-                "viridis_r",
+                "cividis_r",
                 1e3 * WORST_HAND_ERROR,
             )
             column[0].set_title(title(result, corrected=corrected).replace(", ", ",\n"), fontsize=9)
         figure.suptitle(
-            f"Rows: where a table was learned; columns: where the balls were thrown "
+            f"Rows: where a table was learned; columns: where the balls were thrown; brighter is better "
             f"(the paper's robot: 80 %, {1e3 * PAPER_HAND_ERROR:.1f} mm)",
             fontsize=9,
         )
@@ -102,8 +104,10 @@ def _draw(
     image = axes.imshow(values, cmap=colors, vmin=0.0, vmax=top)
     for i, j in np.argwhere(np.isfinite(values)):
         brightness = np.dot(image.cmap(image.norm(values[i, j]))[:3], LUMA)
-        color = "#222222" if brightness > 0.5 else "white"
+        color = INK if brightness > 0.5 else LIGHT
         axes.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color=color, fontsize=9)
+    for i, j in np.argwhere(~np.isfinite(values)):
+        axes.plot(j, i, "x", color=FAINT)
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(learned)), [row or ALONE for row in learned])
     axes.tick_params(length=0)

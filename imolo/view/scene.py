@@ -10,7 +10,6 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 from viser.extras import ViserUrdf
 
-from imolo.campaigns.figures import COLORS
 from imolo.config.simulation import BallConfig
 from imolo.contracts.robot import Body
 from imolo.messaging import channels
@@ -31,9 +30,7 @@ SKY_INTENSITY = 2.5
 CAMERA = (1.9, -3.4, 1.5)  # [m]
 LOOK_AT = (0.85, 0.0, 1.0)  # [m]
 FIELD_OF_VIEW = 0.85  # [rad] vertical
-LEGEND = (-1.0, 0.0, 2.0)  # [m] of the first name
-LEGEND_SPACING = 0.13  # [m]
-TEXT_OFFSET = np.array([0.06, 0.0, 0.0])  # [m]
+GHOST = 0.4  # opacity of all sessions but the first
 
 
 def prepare_scene(server: viser.ViserServer, body: Body) -> None:
@@ -53,24 +50,25 @@ def prepare_scene(server: viser.ViserServer, body: Body) -> None:
 
 
 class SessionScene:
-    """One session; several of them lie over each other, each in a colour of its own."""
+    """One session; several lie over each other, each in a colour of its own, all but the first translucent."""
 
-    def __init__(self, server: viser.ViserServer, body: Body, name: str, number: int, alone: bool) -> None:
+    def __init__(self, server: viser.ViserServer, body: Body, number: int, color: str | None) -> None:
         """Add the robot and its ball.
 
         Args:
             server: Where to draw.
             body: Of the robot.
-            name: Of the session.
             number: Of the session among those shown.
-            alone: Whether it is the only one, which keeps the colours of the model.
+            color: Of the session; None where it is the only one, which keeps the colours of the model.
         """
         self._scene = server.scene
         self._root = f"/session_{number}"
-        self._color = BALL_COLOR if alone else _rgb(COLORS[number % len(COLORS)])
+        self._alone = color is None
+        self._color = BALL_COLOR if color is None else _rgb(color)
+        opacity = None if number == 0 else GHOST
         self._shown: dict[str, Any] = {}
         self._trunk = self._scene.add_frame(f"{self._root}/robot", show_axes=False)
-        tint = None if alone else tuple(part / 255.0 for part in self._color)
+        tint = None if self._alone else tuple(part / 255.0 for part in self._color) + ((GHOST,) if opacity else ())
         model = _matt(yourdfpy.URDF.load(str(body.urdf)))
         self._robot = ViserUrdf(
             server,
@@ -80,19 +78,16 @@ class SessionScene:
         )
         self._order = [body.joint_names.index(joint) for joint in self._robot.get_actuated_joint_names()]
         radius = BallConfig().radius
-        self._ball = self._scene.add_icosphere(f"{self._root}/ball", radius, self._color, visible=False)
+        self._ball = self._scene.add_icosphere(
+            f"{self._root}/ball", radius, self._color, opacity=opacity, visible=False
+        )
         self._target = self._scene.add_box(
             f"{self._root}/target",
-            TARGET_COLOR if alone else self._color,
+            TARGET_COLOR if self._alone else self._color,
             (TARGET_SIZE,) * 3,
             opacity=0.7,
             visible=False,
         )
-        self._alone = alone
-        if not alone:
-            place = np.array(LEGEND) - (0.0, 0.0, number * LEGEND_SPACING)
-            self._scene.add_icosphere(f"{self._root}/color", MARKER_SIZE, self._color, position=place)
-            self._scene.add_label(f"{self._root}/name", name, position=place + TEXT_OFFSET, anchor="center-left")
 
     def show(self, moment: Moment) -> None:
         """Draw what has changed since the last moment."""
@@ -122,7 +117,8 @@ class SessionScene:
 
     def _show_markers(self, frame: mocap_frame_t | None) -> None:
         markers = [] if frame is None else list(frame.markers)
-        colors = [BALL_COLOR if marker.marker_id == marker_t.UNLABELLED else MARKER_COLOR for marker in markers]
+        known, ball = (MARKER_COLOR, BALL_COLOR) if self._alone else (self._color, self._color)
+        colors = [ball if marker.marker_id == marker_t.UNLABELLED else known for marker in markers]
         self._scene.add_point_cloud(
             f"{self._root}/markers",
             np.array([marker.marker_position for marker in markers], dtype=np.float32).reshape(-1, 3),

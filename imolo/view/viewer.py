@@ -8,16 +8,17 @@ from pathlib import Path
 
 import viser
 
+from imolo.campaigns.appearance import Appearance, appearances
 from imolo.config.loading import known_body
 from imolo.contracts.robot import Body
 from imolo.errors import BackendNotFoundError, ConfigError, ResultsError
 from imolo.machine.files import write_whole
 from imolo.messaging.bus import Bus
+from imolo.view.overlay import legend, with_overlay
 from imolo.view.scene import SessionScene, prepare_scene, show_all
 from imolo.view.sessions import LiveSession, RecordedSession
 
 HOST = "127.0.0.1"
-CLOCK = (-1.0, 0.0, 2.2)  # [m]
 PICTURES = 60.0  # [Hz] of the browser
 MOST_PICTURES = 100_000  # in one file
 
@@ -41,8 +42,14 @@ def _open(sessions: Sequence[RecordedSession], port: int) -> tuple[viser.ViserSe
     description = describe(robots[0])
     server = _server(port)
     prepare_scene(server, description)
-    alone = len(sessions) == 1
-    return server, [SessionScene(server, description, s.name, number, alone) for number, s in enumerate(sessions)]
+    colors = [None if look is None else look.color for look in _looks(sessions)]
+    return server, [SessionScene(server, description, number, color) for number, color in enumerate(colors)]
+
+
+def _looks(sessions: Sequence[RecordedSession]) -> Sequence[Appearance | None]:
+    if len(sessions) == 1:
+        return [None]
+    return appearances([session.backend for session in sessions])
 
 
 def _server(port: int) -> viser.ViserServer:
@@ -82,15 +89,14 @@ def write_html(sessions: Sequence[RecordedSession], path: Path, speed: float) ->
         )
     server, scenes = _open(sessions, 0)
     try:
-        clock = server.scene.add_label("/time", "", position=CLOCK, anchor="center-left")
         show_all(scenes, [session.at(0.0) for session in sessions])
         recording = server.get_scene_serializer()
         for number in _pictures(sessions, speed):
             now = number * speed / PICTURES
             show_all(scenes, [session.at(now) for session in sessions])
-            clock.text = f"{now:.3f} s"
             recording.insert_sleep(1.0 / PICTURES)
-        html = recording.as_html()
+        names = [session.name for session in sessions]
+        html = with_overlay(recording.as_html(), names, _looks(sessions), speed)
     finally:
         _stop(server)
     try:
@@ -113,8 +119,7 @@ def serve(sessions: Sequence[RecordedSession], port: int, speed: float, tell: Ca
     rate = server.gui.add_slider("speed", 0.05, 1.0, 0.05, min(max(speed, 0.05), 1.0))
     playing = server.gui.add_checkbox("play", True)
     if len(sessions) > 1:
-        # As text, since names come from files and logs, and Markdown would run the HTML in them.
-        server.gui.add_text("over each other", ", ".join(session.name for session in sessions), disabled=True)
+        server.gui.add_html(legend([session.name for session in sessions], _looks(sessions)))
     tell(f"http://{HOST}:{server.get_port()}")
     try:
         while True:
@@ -139,7 +144,7 @@ def serve_live(url: str, port: int, robot: str, tell: Callable[[str], None]) -> 
     server = _server(port)
     description = describe(robot)
     prepare_scene(server, description)
-    scene = SessionScene(server, description, session.name, 0, alone=True)
+    scene = SessionScene(server, description, 0, None)
     tell(f"http://{HOST}:{server.get_port()}")
     picture = 0.0
     try:

@@ -12,7 +12,9 @@ from imolo.campaigns.results import ResultsFolder
 from imolo.config.experiment import PluginConfig
 from imolo.config.loading import config_for
 from imolo.messaging import channels
-from imolo.trials.metrics import Statistic, TrialResult, judge_campaign
+from imolo.report.page import write_report
+from imolo.studies.transfer import Cell, Transfer
+from imolo.trials.metrics import Statistic, TrialResult, judge_campaign, wilson_interval
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, trial_event_t, truth_ball_t, truth_robot_t
 
 METHODS = ("paper", "improved")
@@ -114,3 +116,21 @@ def _plan(utime: int, effector: int) -> plan_t:
     plan.predicted_position = [(2.0, 0.0, 1.5 - 0.02 * i) for i in range(90)]
     plan.num_predictions = len(plan.predicted_position)
     return plan
+
+
+def study_page(path: Path) -> Path:
+    """Write the report of a folder that holds a study and nothing else."""
+    alone = path / "alone"
+    alone.mkdir()
+    cell = Cell(
+        learned_in="alpha",
+        played_in="alpha",
+        corrected=False,
+        hits=17,
+        balls=20,
+        interval=wilson_interval(17, 20),
+        hand_error=Statistic.of([0.010, 0.014]),
+    )
+    result = Transfer(seed=1, motions=200, trials=15, versions={}, configs={}, cells=(cell,))
+    (alone / "transfer.json").write_text(result.model_dump_json())
+    return write_report(alone, path / "report.html").path

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 import pytest
 import yaml
-from results_folder import BALLS, METHODS, make_results
+from results_folder import BALLS, METHODS, make_results, study_page
 
 from imolo.campaigns.comparison import Comparison, summarise
 from imolo.campaigns.results import ResultsFolder
@@ -20,8 +20,7 @@ from imolo.config.experiment import PluginConfig
 from imolo.config.loading import config_for
 from imolo.errors import ImoloError, ResultsError
 from imolo.report.page import write_report
-from imolo.studies.transfer import Cell, Transfer
-from imolo.trials.metrics import Statistic, wilson_interval
+from imolo.trials.metrics import wilson_interval
 
 
 class Page(HTMLParser):
@@ -137,23 +136,11 @@ def test_names_and_outcomes_are_escaped(tmp_path: Path) -> None:
     assert replay(page)["trials"][1]["outcome"] == "</script><b>"
 
 
-def test_other_results_become_sections(folder: ResultsFolder, tmp_path: Path) -> None:
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    cell = Cell(
-        learned_in="alpha",
-        played_in="alpha",
-        corrected=False,
-        hits=17,
-        balls=20,
-        interval=wilson_interval(17, 20),
-        hand_error=Statistic.of([0.010, 0.014]),
-    )
-    result = Transfer(seed=1, motions=200, trials=15, versions={}, configs={}, cells=(cell,))
-    (alone / "transfer.json").write_text(result.model_dump_json())
-    page = Page(write_report(alone, tmp_path / "report.html").path)
+def test_other_results_become_sections(tmp_path: Path) -> None:
+    page = Page(study_page(tmp_path))
     assert ["alpha", "17/20 (64-95 %), 12±3 mm"] in [row for table in page.tables for row in table]
     assert "replay" not in {reference for _, reference in page.references}
+    assert "<h1>From one engine to another</h1>" in page.source
 
 
 def _remove(name: str) -> Callable[[Path], object]:

@@ -86,6 +86,7 @@ class TrialMotion {
     const [row] = between(this.plans.times, time + 1e-4), plans = this.plans;
     return {
       state: STATES[plans.state[row]] || "",
+      due: plans.due.at(row)[0],
       target: plans.started[row] ? Array.from(plans.target.at(row)) : null,
       path: Array.from({ length: plans.count[row] }, (_, i) => Array.from(plans.path.at(plans.offset[row] + i))),
     };
@@ -212,7 +213,7 @@ class Player {
       tick.setAttribute("aria-label", `Show ${trial.backend}`);
       tick.addEventListener("change", () => { this.hidden[tick.checked ? "delete" : "add"](trial.backend); this.update(); });
       const swatch = Object.assign(document.createElement("i"), { className: "swatch" });
-      swatch.style.background = DATA.colors[trial.backend];
+      swatch.style.cssText = DATA.swatches[trial.backend];
       const name = Object.assign(document.createElement("b"), { textContent: trial.backend });
       head.append(tick, swatch, name);
       if (this.group.length > 1) {
@@ -356,9 +357,13 @@ class Player {
     byId("clock").textContent = `${this.time.toFixed(3)} s`;
     for (const [trial, readout] of this.readouts) {
       const motion = this.motion(trial), plan = motion.planAt(this.time), hand = motion.handAt(this.time);
-      const parts = plan ? [plan.state] : [];
-      if (plan && plan.target && hand) parts.push(`hand ${Math.round(1e3 * Math.hypot(...hand.map((value, i) => value - plan.target[i])))} mm from target`);
-      readout.textContent = parts.join(" · ") || "\u00a0";
+      const parts = plan ? [`At ${this.time.toFixed(3)} s: ${plan.state}`] : [];
+      // On its way; how near the hand came in the end is in the list of trials.
+      if (plan && plan.target && hand && this.time < plan.due) {
+        const way = Math.round(1e3 * Math.hypot(...hand.map((value, i) => value - plan.target[i])));
+        parts.push(`hand has ${way} mm and ${Math.round(1e3 * (plan.due - this.time))} ms to go`);
+      }
+      readout.textContent = parts.join("; ") || "\u00a0";
     }
     const shown = this.group.filter((trial) => !this.hidden.has(trial.backend)).map((trial) => (/[^\w./-]/.test(trial.path) ? `'${trial.path}'` : trial.path));
     byId("command").textContent = shown.length ? `imolo view ${shown.join(" ")}` : "";
