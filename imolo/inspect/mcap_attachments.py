@@ -75,9 +75,9 @@ class Started:
             f"{name}.{path}": unit for name, channel in CHANNELS.items() for path, unit in _units(channel.message_type)
         }
         for robot in self.robots.values():
-            for (channel, field), (_, names, of_names) in NAMED.items():
+            for (channel, field), (_, names, of_names, suffix) in NAMED.items():
                 for name, unit in zip(getattr(robot, names), getattr(robot, of_names, ()), strict=False):
-                    units[f"{channel}.{field}[{name}]"] = unit
+                    units[f"{channel}.{field}[{name}]"] = unit and unit + suffix
         return {name: unit for name, unit in units.items() if unit}
 
 
