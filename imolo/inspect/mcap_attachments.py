@@ -77,7 +77,7 @@ class Started:
         for robot in self.robots.values():
             for (channel, field), (_, names, of_names, suffix) in NAMED.items():
                 for name, unit in zip(getattr(robot, names), getattr(robot, of_names, ()), strict=False):
-                    units[f"{channel}.{field}[{name}]"] = unit + suffix
+                    units[f"{channel}.{field}[{name}]"] = unit and unit + suffix
         return {name: unit for name, unit in units.items() if unit}
 
 

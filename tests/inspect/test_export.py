@@ -168,6 +168,7 @@ def test_mcap_brings_robot_config_and_units(recorded: Recorded, run: Run, tmp_pa
         "TRUTH_BALL.true_ball_position": "m",
         "MOCAP.markers.marker_position": "m",
         "PLAN.theta[t_w]": "s",
+        "TRUTH_ROBOT.joint_velocity[right_knee]": "rad/s",
         "ACTUATOR_STATE.measured[valve 7: raises both arms]": "Pa",
     }
     assert records["units"].items() >= units.items()
