@@ -1,10 +1,10 @@
-"""The checks as tests of pytest, for the author of a backend.
+"""The checks as tests of pytest, for the author of a backend::
 
-from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
+    from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
 
-@parametrize_checks("my_engine")
-def test_conformance(check: BackendCheck) -> None:
-    assert_conforms(check)
+    @parametrize_checks("my_engine")
+    def test_conformance(check: BackendCheck) -> None:
+        assert_conforms(check)
 """
 
 import warnings
