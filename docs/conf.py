@@ -37,6 +37,7 @@ autodoc_default_options = {
     "exclude-members": "model_config",
 }
 autodoc_typehints = "description"
+autodoc_use_type_comments = False
 default_role = "py:obj"
 napoleon_use_ivar = True
 napoleon_numpy_docstring = False

@@ -1,4 +1,6 @@
-"""The checks as tests of pytest, for the author of a backend::
+"""The checks as tests of pytest, for the author of a backend.
+
+One file of tests::
 
     from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
 
