@@ -14,8 +14,6 @@ LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__)
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-SITE := .venv/.site
-
 .PHONY: help demo ode test test-slow docs mutations lint bench messages headers c-planner clean
 
 help: ## List what can be made.
@@ -33,7 +31,7 @@ test: $(VIEWERS) ## Run the tests, the long matrices left out.
 test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
 
-docs: $(SITE) ## Build the site of docs/ to build/site; links, names and code blocks are checked.
+docs: $(READY) ## Build the site of docs/ to build/site; links, names and code blocks are checked.
 	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/site
 
 mutations: $(VIEWERS) ## Change the code at MUTATIONS random places (SEED) and see whether the tests notice.
@@ -77,7 +75,3 @@ $(READY): pyproject.toml $(CONSTRAINTS)
 $(VIEWERS): $(READY)
 	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS),export,view]"
 	touch $(VIEWERS)
-
-$(SITE): $(READY)
-	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS),docs]"
-	touch $(SITE)

@@ -1,5 +1,6 @@
 """The tutorials of docs/ do what they say: their files are written, their commands run as printed, in their order."""
 
+import contextlib
 import json
 import os
 import re
@@ -9,12 +10,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import nbformat
 import pytest
 from live.network import namespace
+from nbclient import NotebookClient
 from requirements import needs
 
 ROOT = Path(__file__).parents[1]
-PATIENCE = 500.0  # [s]
+PATIENCE = 1500.0  # [s] for one block, on a busy machine
 BLOCK = re.compile(r"^```(sh|yaml|python)\n(?:# ([\w ]+(?:\.\w+)?)\n)?(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -35,13 +38,13 @@ def follow(page: str, folder: Path, display: str = "") -> str:
     text = (ROOT / "docs/tutorials" / page).read_text(encoding="utf-8")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "MPLBACKEND": "agg", "DISPLAY": display, "COLUMNS": "120"}
-    printed, others = "", []
+    printed, begun, others = "", [], []
     try:
         for language, name, code in BLOCK.findall(text):
             if language != "sh":
                 (folder / name).write_text(code, encoding="utf-8")
                 continue
-            begin = subprocess.Popen(
+            shell = subprocess.Popen(
                 ["bash", "-euc", code],
                 cwd=folder,
                 env=environment,
@@ -50,28 +53,47 @@ def follow(page: str, folder: Path, display: str = "") -> str:
                 text=True,
                 start_new_session=True,
             )
+            begun.append(shell)
             if name == "second terminal":
-                others.append(begin)
+                others.append(shell)
                 continue
-            output, _ = begin.communicate(timeout=PATIENCE)
-            assert begin.returncode == 0, f"{code}\n{output}"
+            output, _ = shell.communicate(timeout=PATIENCE)
+            assert shell.returncode == 0, f"{code}\n{output}"
             printed += output
         assert all(other.poll() is None for other in others), "what was to stay open has ended"
     finally:
-        for other in others:
-            os.killpg(other.pid, signal.SIGTERM)
-            other.communicate(timeout=10.0)
+        for shell in begun:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(shell.pid, signal.SIGTERM)
+            shell.communicate(timeout=30.0)
     return printed
 
 
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return the folder in which the first tutorial was followed, and what its commands printed."""
+    folder = tmp_path_factory.mktemp("first")
+    return folder, follow("first-comparison.md", folder)
+
+
 @pytest.mark.slow
-def test_first_comparison_ends_with_a_plot_of_ones_own(tmp_path: Path) -> None:
-    printed = follow("first-comparison.md", tmp_path)
+def test_first_comparison_ends_with_a_plot_of_ones_own(compared: tuple[Path, str]) -> None:
+    folder, printed = compared
     assert "improved" in printed
-    summary = json.loads((tmp_path / "results/first/summary.json").read_text(encoding="utf-8"))
+    summary = json.loads((folder / "results/first/summary.json").read_text(encoding="utf-8"))
     assert set(summary["results"]) == {"mujoco", "dart"}
     for made in ("results/first/report.html", "pressures.png", "my_plot.png"):
-        assert (tmp_path / made).stat().st_size > 10_000, made
+        assert (folder / made).stat().st_size > 10_000, made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["plots_from_logs", "table_queried"])
+def test_notebook_runs_on_what_the_first_comparison_wrote(name: str, compared: tuple[Path, str]) -> None:
+    notebook = nbformat.read(ROOT / f"examples/{name}.ipynb", as_version=4)
+    NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": str(compared[0])}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 2
+    assert not [output for output in outputs if output.output_type == "error"]
 
 
 @pytest.mark.slow
