@@ -31,7 +31,7 @@ test: $(VIEWERS) ## Run the tests, the long matrices left out.
 test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
 
-docs: $(READY) ## Build the site of docs/ to build/site; links, names and code blocks are checked.
+docs: $(VIEWERS) ## Build the site of docs/ to build/site; links, names and code blocks are checked.
 	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/site
 
 mutations: $(VIEWERS) ## Change the code at MUTATIONS random places (SEED) and see whether the tests notice.
