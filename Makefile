@@ -14,7 +14,7 @@ LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__)
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow mutations lint bench pages messages headers c-planner clean
+.PHONY: help demo ode test test-slow docs mutations lint bench pages messages headers c-planner clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -30,6 +30,9 @@ test: $(VIEWERS) ## Run the tests, the long matrices left out.
 
 test-slow: $(VIEWERS) ## Run the long matrices.
 	$(BIN)/python -m pytest -m slow -n auto
+
+docs: $(VIEWERS) ## Build the site of docs/ to build/site; links, names and code blocks are checked.
+	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/site
 
 mutations: $(VIEWERS) ## Change the code at MUTATIONS random places (SEED) and see whether the tests notice.
 	$(BIN)/python -m pip install --quiet 'cosmic-ray>=8.4'

@@ -16,7 +16,9 @@ class DisturbanceConfig(Model):
 
     profiles: ClassVar[dict[str, dict[str, float]]] = {"none": {}, "realistic": {"joint_angle": 0.001}}
 
-    profile: Literal["none", "realistic", "custom"] = "realistic"
+    profile: Literal["none", "realistic", "custom"] = Field(
+        "realistic", description="sets all values below; `custom` leaves them to the config"
+    )
     joint_angle: NonNegative = Field(0.0, description="of each joint in the ready pose, inwards from its limit [rad]")
 
     @model_validator(mode="before")

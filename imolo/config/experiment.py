@@ -26,7 +26,7 @@ class PluginConfig(Model):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    name: str
+    name: str = Field(description="of the plug-in, as `imolo backends` and `imolo robots` list it")
 
 
 class RobotConfig(Model):
@@ -45,7 +45,7 @@ class RobotConfig(Model):
 class TrainingConfig(Model):
     """How the motions are learned (Sec. VII-B)."""
 
-    motions: Annotated[tuple[Theta, ...], Field(min_length=1)]
+    motions: Annotated[tuple[Theta, ...], Field(min_length=1)] = Field(description="theta of each, in SI units")
     sampled_from: NonNegative = Field(description="since the start of the swing, excluded [s]")
     sampled_to: NonNegative = Field(description="since the start of the swing, excluded [s]")
 
@@ -94,7 +94,7 @@ class MethodConfig(Model):
 class ExperimentConfig(Model):
     """An experiment on one backend; a robot has a subclass with its own kinds of motion and actuators."""
 
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(ge=0)] = Field(1, description="of everything that is drawn by chance")
     bus: str = Field(
         "memq://", description="LCM URL; memq:// stays in the process and repeats exactly, udpm:// lets lcm-spy watch"
     )

@@ -28,7 +28,7 @@ class BallConfig(Model):
     radius: Positive = Field(0.045, description="[m], Sec. VII-A")
     mass: Positive = Field(0.010, description="[kg], Sec. VII-A")
     drag_coefficient: NonNegative = Field(0.45, description="of a sphere [-], assumed: subcritical flow")
-    air_density: NonNegative = Field(1.2, description="[kg/m³]")
+    air_density: NonNegative = Field(1.2, description="of the room [kg/m³]")
 
 
 class MocapConfig(Model):

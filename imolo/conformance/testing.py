@@ -1,10 +1,12 @@
 """The checks as tests of pytest, for the author of a backend.
 
-from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
+One file of tests::
 
-@parametrize_checks("my_engine")
-def test_conformance(check: BackendCheck) -> None:
-    assert_conforms(check)
+    from imolo.conformance.testing import BackendCheck, assert_conforms, parametrize_checks
+
+    @parametrize_checks("my_engine")
+    def test_conformance(check: BackendCheck) -> None:
+        assert_conforms(check)
 """
 
 import warnings

@@ -68,6 +68,7 @@ class FactsStudy(Model):
     """What a study of published facts says.
 
     Attributes:
+        kind: Which kind of study this is.
         title: Of the report; the name of the file if not given.
         config: Of the robot, as a config's file; its training motions and its first method are what is measured.
         parameters: What is searched, by path of the setting.

@@ -31,6 +31,7 @@ class StudyConfig(Model):
     """What every study says.
 
     Attributes:
+        kind: Which kind of study this is.
         title: Of the report; the name of the file if not given.
         engines: Names of backends, or name, label and options; every physics engine that is ready if not given.
         parameters: What is fitted, by path of the setting; `backend.…` in the engines that have such an option.

@@ -14,7 +14,13 @@ Array = NDArray[np.float64]
 
 
 class GridAxis(Model):
-    """Evenly spaced values from start on, none beyond stop."""
+    """Evenly spaced values from start on, none beyond stop; in the unit of the parameter.
+
+    Attributes:
+        start: The first value.
+        stop: None is beyond it.
+        step: From one value to the next.
+    """
 
     start: float
     stop: float

@@ -59,7 +59,7 @@ class LiberobotAir(AirConfig):
     rest_pressure: EightPressures = Field(
         (0.0,) * 7 + (0.05e6,), description="valves 1..8 before the onset [Pa], assumed: valve 8 holds the crouch"
     )
-    valve_names: tuple[str, ...] = VALVES
+    valve_names: tuple[str, ...] = Field(VALVES, description="by number, Fig. 6")
 
     def cylinders_of_joints(self) -> tuple[Cylinder, ...]:
         """Return the cylinders of legs and arms; the reduction lets a leg's piston travel further per joint angle."""
