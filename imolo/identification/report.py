@@ -188,7 +188,7 @@ def figure(result: Identification) -> Figure:
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(title=title, **TABLE_STYLE)
     for name in columns:
-        table.add_column(escape(name))
+        table.add_column(escape(name), no_wrap=name in ("engine", "fit"))
     for row in rows:
         table.add_row(*map(escape, row))
     return table

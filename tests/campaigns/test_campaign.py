@@ -312,7 +312,7 @@ def test_scheduler_without_workers_is_an_error(tmp_path: Path, monkeypatch: pyte
 
 def test_missing_dask_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingToolError, match=r"pip install 'imolo\[cluster\]'"):
+    with pytest.raises(MissingToolError, match=r'pip install "dask>=[\d.]+" "distributed>=[\d.]+"'):
         run_tasks(throws(tmp_path, short(parallel=on(NOBODY))), jobs=1)
 
 

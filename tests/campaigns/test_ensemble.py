@@ -64,7 +64,7 @@ def test_member_changes_what_it_names_and_nothing_else() -> None:
     ("content", "said"),
     [
         ("members: []", "members"),
-        ("robots: [{}]", "'members' is missing"),
+        ("robots: [{}]", "unknown key 'robots' (known: members)"),
         ("members: [{simulation: {contact: {frictoin: 0.5}}}]", "member 1: unknown key"),
         ("members: [{simulation: {contact: {friction: -1}}}]", "friction"),
     ],

@@ -49,7 +49,7 @@ def test_every_setting_is_told_once_where_it_first_stands(run: Run) -> None:
 
 def test_options_of_the_backend_stand_in_comments_and_are_its_defaults(run: Run) -> None:
     lines = written(run, "mujoco").read_text(encoding="utf-8").splitlines()
-    first = lines.index("  name: mujoco") + 1
+    first = next(row for row, line in enumerate(lines, 1) if line.startswith("  name: mujoco"))
     comments = [line for line in lines[first : first + 20] if line.startswith("  # ")]
     options = yaml.safe_load("\n".join(line.removeprefix("  # ") for line in comments))
     assert options == backend_options(config_for("mujoco")).model_dump(mode="json")

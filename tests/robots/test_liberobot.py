@@ -158,7 +158,7 @@ def test_equal_offsets_of_both_legs_leave_the_feet_level() -> None:
 
 
 def test_offsets_beyond_a_limit_are_refused() -> None:
-    with pytest.raises(BackendError, match=r"left_knee cannot start at 151\.000°; its range is 0\.\.150°"):
+    with pytest.raises(BackendError, match=r"left_knee cannot start at 151\.000°; its range is 0\.000° to 150\.000°"):
         ready_scene([0.0] * 4 + [np.radians(1.0)] + [0.0] * 3)
     with pytest.raises(BackendError, match=r"shape \(7,\); expected \(8,\)"):
         ready_scene([0.0] * 7)

@@ -113,7 +113,7 @@ def test_ready_pose_beyond_a_limit_is_told_with_its_joint(wrong: Wrong) -> None:
     assert beyond.measured == pytest.approx(3.0 - 2.6)
     assert "shoulder" in beyond.quantity
     (pose,) = (one.remark for one in found if one.check == "ready_pose")
-    assert "shoulder cannot start at 171.887°; its range is -29..149°" in pose
+    assert "shoulder cannot start at 171.887°; its range is -28.648° to 148.969°" in pose
 
 
 def test_effector_without_a_shape_is_told(wrong: Wrong) -> None:

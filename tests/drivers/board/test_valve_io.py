@@ -150,7 +150,7 @@ def test_command_vents_what_a_board_that_died_has_left(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrapper", "remedy"),
     [
-        ("raise ImportError('no iio')", r"pip install 'imolo\[iio\]'"),
+        ("raise ImportError('no iio')", 'pip install "pylibiio'),
         ("raise OSError(2, 'Could not find libiio C library')", "apt-get install libiio0"),
         ("import ctypes; ctypes.CDLL(None).iio_get_backends_count", "apt-get install libiio0"),
     ],
