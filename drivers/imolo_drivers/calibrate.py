@@ -53,7 +53,7 @@ def _watch(client: NatNetClient, seconds: float, patience: float) -> tuple[Model
         select.select((client,), (), (), min(POLL, end - now))
         began = bool(frames)
         # Without the models nobody knows which marker is which.
-        new = client.poll(time.monotonic())
+        new = client.poll()
         frames += new if client.definitions is not None else []
         if frames and not began:
             end = time.monotonic() + seconds

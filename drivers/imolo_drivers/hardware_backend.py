@@ -174,7 +174,7 @@ class HardwareBackend:
                 board.close()
         cameras, self._cameras = self._cameras, None
         if cameras is not None:
-            counts = cameras.lost, cameras.unreadable, self._exposures.refused
+            counts = cameras.lost, cameras.unreadable, self._exposures.refused.total()
             logger.info("%d camera frames lost, %d packets unreadable, %d exposures refused", *counts)
             cameras.close()
 
@@ -212,7 +212,7 @@ class HardwareBackend:
                 f"{len(self._channels)}"
             )
         board.synchronise()
-        self._cameras = cameras = NatNetClient(options.cameras)
+        self._cameras = cameras = NatNetClient(options.cameras, _now)
         if not self._idle(lambda: cameras.definitions is not None and not cameras.is_lost(_now()), options.patience):
             raise BackendError(cameras.missing(options.patience))
         if cameras.definitions is not None:
@@ -251,7 +251,7 @@ class HardwareBackend:
                 if board.state.num_armed:
                     self._check_armed(board.state)
             if self._cameras is not None:
-                self._cameras.poll(_now())
+                self._cameras.poll()
         return True
 
     def _ask_time(self, board: BoardClient) -> None:
@@ -299,7 +299,7 @@ class HardwareBackend:
 
     def _hear_cameras(self, cameras: NatNetClient) -> bool:
         """Publish the frames that have come; return whether there are any."""
-        frames = cameras.poll(_now())
+        frames = cameras.poll()
         now = _now()  # of no frame that came by then may the exposure be later
         told = [self._tell_frame(cameras, frame, now) for frame in frames]
         heard, options = self._exposures.heard, self._options
@@ -317,7 +317,7 @@ class HardwareBackend:
         """Publish a frame; return whether its exposure can be true."""
         exposed, error = cameras.exposure_time(frame) or (_now() - self._options.camera_latency, 0.0)
         if not self._exposures.accept(exposed, error, now):
-            if self._exposures.refused == 1:
+            if self._exposures.is_news:
                 logger.warning("%s, at %d us; it is left out", self._exposures.problem, self.utime)
             return False
         utime = round(exposed * 1e6) - (self._begin or 0)

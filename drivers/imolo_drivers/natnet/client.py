@@ -4,6 +4,8 @@ import contextlib
 import logging
 import selectors
 import socket
+import time
+from collections.abc import Callable
 from typing import Self
 
 from imolo.errors import NatNetError, NatNetVersionError
@@ -35,8 +37,12 @@ class NatNetClient:
         elsewhere: Address that answered in the place of the server's; empty if none did.
     """
 
-    def __init__(self, config: NatNetConfig) -> None:
+    def __init__(self, config: NatNetConfig, clock: Callable[[], float] = time.monotonic) -> None:
         """Open the socket; nothing is sent before the first `poll`.
+
+        Args:
+            config: Where the server is.
+            clock: Our monotonic clock [s].
 
         Raises:
             NatNetError: This machine does not have the local address.
@@ -49,7 +55,7 @@ class NatNetClient:
         self.unreadable = 0
         self.last_problem = ""
         self.elsewhere = ""
-        self._config = config
+        self._config, self._read_clock = config, clock
         self._server_address = str(config.server_address)
         self._local_address = str(config.local_address)
         self._clock: ServerClock | None = None
@@ -67,18 +73,16 @@ class NatNetClient:
         """Return what becomes readable when there is something to `poll`."""
         return self._selector.fileno()  # type: ignore[no-any-return, attr-defined, unused-ignore]
 
-    def poll(self, now: float) -> list[m.Frame]:
+    def poll(self) -> list[m.Frame]:
         """Read what came, say what is due, and return the new frames in order.
 
         Call it when `fileno` is readable, and at least every `retry_interval`.
-
-        Args:
-            now: Our monotonic clock [s].
 
         Raises:
             NatNetVersionError: The server speaks an unsupported version.
             NatNetError: The multicast group that the server names cannot be joined.
         """
+        now = self._read_clock()
         if self._started is None:
             self._started = now
         frames: list[m.Frame] = []
@@ -193,7 +197,8 @@ class NatNetClient:
                 self.definitions, self._outdated = message, False
             case m.EchoResponse(sent, ticks) if sent == self._echo_sent and self._clock is not None:
                 self._echo_sent = None
-                self._clock.add_echo(sent * 1e-9, ticks, now)
+                # Read anew: what came after `now` would have taken less time than it did.
+                self._clock.add_echo(sent * 1e-9, ticks, self._read_clock())
 
     def _take_frame(self, frame: m.Frame, now: float, frames: list[m.Frame]) -> None:
         if self._last_number is not None:

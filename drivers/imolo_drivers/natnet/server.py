@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import socket
+import time
 from typing import Self
 
 from imolo.errors import NatNetError
@@ -160,7 +161,8 @@ class NatNetServer:
                 self.times_asked += 1
                 self._reply(self.definitions, client)
             case m.EchoRequest(sent):
-                self._reply(m.EchoResponse(sent, self.ticks(now)), client)
+                # Read anew: what came after `now` would be answered with a time before it was asked.
+                self._reply(m.EchoResponse(sent, self.ticks(time.monotonic())), client)
             case m.Request():
                 self._reply(m.UnrecognizedRequest(), client)
 

@@ -34,11 +34,12 @@ from imolo_drivers.natnet.messages import (
     ModelDefinitions,
 )
 from imolo_drivers.natnet.server import NatNetServer
-from imolo_msgs import board_trial_t
+from imolo_msgs import board_trial_t, mocap_frame_t
 
 PATIENCE = 10.0  # [s]
 THETA: Theta = (0.5, 0.25)
 RATE = 120.0  # [Hz]
+MOST_HELD_UP = 6  # frames
 NAMES = (
     *("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle"),
     *("right_hand", "left_hand", "right_shoulder", "left_shoulder", "right_toe", "left_toe"),
@@ -108,25 +109,32 @@ class ScriptedRobot:
                 board.arm(board.session, monotonic_utime())
         while self.packets:
             self.motive.send_packet(self.packets.pop())
-        if now < self._next:
-            return
-        self._next = max(self._next + 1.0 / RATE, now - 0.05)
+        # On a busy machine frames are held up or lost, but none is exposed sooner after another than cameras can.
+        self._next += max(int((now - self._next) * RATE) - MOST_HELD_UP, 0) / RATE
+        while now >= self._next:
+            self._send_frame(self._next)
+            self._next += 1.0 / RATE
+
+    def _send_frame(self, exposed: float) -> None:
         self._numbers += 1
-        markers = self._faults(now - self._start, self._markers(now - self._start))
+        markers = self._faults(exposed - self._start, self._markers(exposed - self._start))
         if markers is not None:
-            self.motive.send(Frame(self._numbers, now, self.motive.ticks(self.exposed(now)), tuple(markers)))
+            ticks = self.motive.ticks(self.exposed(exposed))
+            self.motive.send(Frame(self._numbers, exposed, ticks, tuple(markers)))
 
     def _markers(self, elapsed: float) -> list[LabelledMarker]:
         """Return the resting robot, and a ball that falls onto the floor in front of it."""
-        labels = [(1, label + 1, place) for label, place in BODY.items()]
         flight = min(max(elapsed - 0.1, 0.0), LANDING) if self._throws else 0.0
         ball = np.array([4.0 - 4.0 * flight, 0.5, 1.0 + 3.0 * flight - 4.905 * flight**2])
-        return [marker(model, number, place) for model, number, place in (*labels, (0, 1, ball))]
+        return [*RESTING, marker(0, 1, ball)]
 
 
 def marker(model: int, number: int, place: Any) -> LabelledMarker:
     position = Calibration().to_motive(np.reshape(place, (1, 3)))[0].tolist()
     return LabelledMarker(model, number, tuple(position))
+
+
+RESTING = [marker(1, label + 1, place) for label, place in BODY.items()]
 
 
 @contextlib.contextmanager
@@ -141,10 +149,12 @@ def scripted_robot(
 
 
 def config(robot: Any, **options: Any) -> ExperimentConfig:
-    """Return a config of the hardware on the ports of a scripted robot."""
+    """Return a config of the hardware on the ports of a scripted robot, with patience for a busy machine."""
+    patience = {"board_silence": PATIENCE, "camera_patience": PATIENCE, "exposures": {"oldest": PATIENCE}}
     host, port = robot.server.address
     cameras = {"command_port": robot.motive.port, **options.pop("cameras", {})}
-    return make_config({"backend": {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **options}})
+    settings = {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **patience, **options}
+    return make_config({"backend": settings})
 
 
 def play(
@@ -161,6 +171,31 @@ def play(
 
 def backend(chosen: ExperimentConfig) -> Any:
     return BACKENDS.load("hardware").create(chosen, backend_options(chosen))
+
+
+class Watched:
+    """A throw that goes on, however long the machine of this test holds up what comes."""
+
+    def __init__(self, robot: ScriptedRobot) -> None:
+        self.backend = backend(config(robot))
+        self.frames: list[mocap_frame_t] = []
+        self._bus = memory_bus()
+        self._bus.subscribe(channels.MOCAP, self.frames.append)
+        self.backend.start(self._bus, Trial(TrialKind.THROW, 0, 1))
+
+    def advance_until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, "nothing came"
+            self.backend.advance(self.backend.utime + 10_000)
+            self._bus.drain()
+
+    def see(self, count: int) -> None:
+        before = len(self.frames)
+        self.advance_until(lambda: len(self.frames) >= before + count)
+
+    def close(self) -> None:
+        self.backend.close()
 
 
 def memory_bus() -> Bus:

@@ -27,7 +27,7 @@ def test_one_wild_exposure_is_left_out_and_nothing_else(wild: float) -> None:
     told = exposures(20)
     told[7] += wild
     assert heard(guard, told) == [i != 7 for i in range(20)]
-    assert guard.refused == (BEGIN + told[7] > BEGIN)
+    assert guard.refused.total() == (BEGIN + told[7] > BEGIN)
     assert guard.problem == ""
 
 
@@ -62,8 +62,23 @@ def test_exposures_at_a_wrong_pace_end_as_silence(rate: float) -> None:
 def test_frames_of_before_the_beginning_are_left_out_and_not_counted() -> None:
     guard = ExposureGuard(LIMITS, BEGIN)
     assert heard(guard, [-0.01, 0.0]) == [False, False]
-    assert guard.refused == 0
+    assert guard.refused.total() == 0
+    assert not guard.is_news
     assert guard.heard == BEGIN
+
+
+def test_each_kind_of_false_exposure_is_news_once() -> None:
+    guard = ExposureGuard(LIMITS, BEGIN)
+    told = exposures(60)
+    for place, wild in ((5, 60.0), (6, 70.0), (46, 60.0), (50, -0.3)):
+        told[place] += wild
+    told[12] = told[11]  # two of one moment
+    news = []
+    for i, exposed in enumerate(told, start=1):
+        accepted = guard.accept(BEGIN + exposed, ERROR, BEGIN + i * FRAME + LATENCY)
+        news += [i - 1] if guard.is_news and not accepted else []
+    assert news == [5, 12, 50]
+    assert guard.refused.total() == 5
 
 
 def test_the_oldest_and_the_newest_exposure_that_can_be_true() -> None:

@@ -1,8 +1,10 @@
 """Client and server over UDP: handshake, frames, loss, clocks, restarts."""
 
+import itertools
 import select
 import socket
 import time
+from types import SimpleNamespace
 
 import pytest
 from live.network import namespace
@@ -10,6 +12,7 @@ from natnet_pair import DEADLINE, Pair, pair, run_until
 from pydantic import ValidationError
 
 from imolo.errors import NatNetError, NatNetVersionError
+from imolo_drivers.natnet import server as natnet_server
 from imolo_drivers.natnet.client import LATE_FRAMES, LATE_IN_ORDER, NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig, NatNetServerConfig
 from imolo_drivers.natnet.encoder import encode
@@ -114,7 +117,6 @@ def test_a_silent_stream_is_lost_after_the_limit_and_found_again_with_the_next_f
         link.connect()
         send_and_receive(link, 1)
         last = time.monotonic()
-        link.frames += link.client.poll(last)
         silence = link.client.silence(last)
         assert link.client.lost_at == last - silence + NatNetConfig().silence_limit
         assert not link.client.is_lost(link.client.lost_at - 1e-6)
@@ -124,9 +126,9 @@ def test_a_silent_stream_is_lost_after_the_limit_and_found_again_with_the_next_f
 
 
 def test_a_client_without_server_counts_its_silence_from_the_first_poll() -> None:
-    with NatNetClient(NatNetConfig(command_port=free_port())) as client:
+    with NatNetClient(NatNetConfig(command_port=free_port()), lambda: 100.0) as client:
         assert client.is_lost(0.0)
-        assert client.poll(100.0) == []
+        assert client.poll() == []
         assert client.silence(100.04) == pytest.approx(0.04)
         assert client.lost_at == 100.0 + NatNetConfig().silence_limit
 
@@ -147,6 +149,26 @@ def test_the_exposure_is_told_in_our_time_with_an_error_that_holds(exposed: floa
         assert abs(later[1] - found[1]) == pytest.approx(1e-4, abs=1e-9)
 
 
+def test_the_error_of_the_exposure_holds_however_slow_the_machines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at a clock is a second after the one before, and what is waited for comes right after a look."""
+    looks = itertools.count(1001.0)
+
+    def look() -> float:
+        now = next(looks)
+        server.poll(1000.0)  # when it looked last, before it was asked
+        return now
+
+    monkeypatch.setattr(natnet_server, "time", SimpleNamespace(monotonic=lambda: next(looks)))
+    with (
+        NatNetServer(NatNetServerConfig(command_port=0), (4, 1)) as server,
+        NatNetClient(NatNetConfig(command_port=server.port), look) as client,
+    ):
+        while (found := client.exposure_time(frame(1, mid_exposure=server.ticks(1010.0)))) is None:
+            client.poll()
+            assert next(looks) < 2000.0, "nothing came"
+    assert abs(found[0] - 1010.0) <= found[1] + 1e-7
+
+
 def test_cameras_that_do_not_tell_the_exposure_have_none() -> None:
     with pair((4, 1)) as link:
         link.connect()
@@ -160,7 +182,7 @@ def test_frames_go_on_when_the_server_was_started_again() -> None:
         port = link.server.port
         link.server.close()
         while not link.client.is_lost(time.monotonic()):
-            link.frames += link.client.poll(time.monotonic())
+            link.frames += link.client.poll()
         changed = ModelDefinitions((RigidBodyDefinition("liberobot", 4),))
         with NatNetServer(NatNetServerConfig(command_port=port), (4, 1), definitions=changed) as again:
             run_until(again, link.client, link.frames, lambda: link.client.definitions == changed)
@@ -236,13 +258,13 @@ def test_a_server_that_tells_too_little_is_told_though_its_frames_come() -> None
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         with NatNetClient(NatNetConfig(command_port=server.getsockname()[1])) as client:
-            client.poll(0.0)
+            client.poll()
             _, address = server.recvfrom(1000)
             short = HEADER.pack(MessageId.SERVER_INFO, 264) + bytes(260) + bytes((3, 1, 0, 0))
             for packet in (encode(frame(1), (3, 1)), short, encode(frame(2), (3, 1))):
                 server.sendto(packet, address)
                 select.select([client], [], [], DEADLINE)
-                client.poll(0.0)
+                client.poll()
             assert "3 packets from there cannot be read, the last one: the answer of server ''" in client.missing(5.0)
 
 
@@ -254,11 +276,11 @@ def test_an_answer_from_another_address_is_told() -> None:
         asked.bind(("127.0.0.1", 0))
         answering.bind(("127.0.0.2", 0))
         with NatNetClient(NatNetConfig(command_port=asked.getsockname()[1])) as client:
-            client.poll(0.0)
+            client.poll()
             _, address = asked.recvfrom(1000)
             answering.sendto(encode(ServerInfo("Motive", (3, 1, 0, 0), (4, 1), 1000, 1511, None), (4, 1)), address)
             select.select([client], [], [], DEADLINE)
-            client.poll(0.0)
+            client.poll()
             assert client.server is None
             assert "127.0.0.2 answers in its place; is that to be cameras.server_address?" in client.missing(5.0)
 
@@ -267,7 +289,7 @@ def test_a_server_of_an_unknown_version_is_refused() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         with NatNetClient(NatNetConfig(command_port=server.getsockname()[1])) as client:
-            client.poll(0.0)
+            client.poll()
             _, address = server.recvfrom(1000)
             server.sendto(encode(ServerInfo("Motive", (1, 10, 0, 0), (2, 10), 1000, 1511, None), (3, 0)), address)
             with pytest.raises(NatNetVersionError, match=r"NatNet 2\.10 is not supported, only 3\.0, 3\.1, 4\.0, 4\.1"):
@@ -284,7 +306,7 @@ def test_an_address_of_another_machine_is_refused() -> None:
 def poll_for_long(client: NatNetClient) -> None:
     end = time.monotonic() + DEADLINE
     while time.monotonic() < end:
-        client.poll(0.0)
+        client.poll()
 
 
 def free_port() -> int:
