@@ -11,7 +11,7 @@ from imolo.errors import TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import Recorder
-from imolo_msgs import robot_t, trial_event_t
+from imolo_msgs import actuator_command_t, robot_t, trial_event_t
 
 SLICE = 1000  # [µs] between two looks at the bus; commands take effect no later than this after their frame
 
@@ -49,18 +49,29 @@ def run_trial(
     Raises:
         BackendError: The backend refused the scene, or diverged.
         BusError: The log cannot be written.
-        TrialVoidError: The trial was broken off; the log ends with the reason.
+        TrialVoidError: The trial was broken off, or another program takes part in it; the log ends with the reason.
     """
     bus = Bus(config.bus)
     backend, task = create_backend(config), create_task(config)
-    end = round(duration * 1e6)
+    end, alone = round(duration * 1e6), True
 
     def shorten(event: trial_event_t) -> None:
         nonlocal end
         if task.ends(event):
             end = min(end, event.utime + round(config.campaign.tail * 1e6))
 
+    def break_off(message: actuator_command_t | trial_event_t) -> None:
+        nonlocal alone
+        if not alone:
+            return  # the end is still to be said
+        alone = False
+        what = "commands the robot" if isinstance(message, actuator_command_t) else "plays a trial"
+        raise TrialVoidError(f"another program {what} on the bus {config.bus}; stop it, or give it another bus")
+
     with Recorder(bus, log_path, lambda: backend.utime):
+        # Before the backend hears it, which would follow.
+        bus.subscribe_foreign(channels.ACTUATOR_COMMAND, break_off)
+        bus.subscribe_foreign(channels.TRIAL, break_off)
         bus.subscribe(channels.TRIAL, shorten)
         controller.attach(bus)
         backend.start(bus, trial)
