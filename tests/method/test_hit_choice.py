@@ -336,3 +336,24 @@ def test_uncertainty_of_a_gaussian_process_is_no_smaller_than_it_says(kernel: st
     model = ForwardModel(config, MOTION).fit(training.theta, training.time, training.position)
     theta, time = np.array([[0.2, 0.3], [-1.0, 0.4]]), np.array([0.5, 0.55])
     assert (HandUncertainty(model).std(theta, time) >= model.predict_std(theta, time) - 1e-12).all()
+
+
+def test_grid_point_is_as_uncertain_as_a_hand_anywhere_in_its_cell() -> None:
+    """The variance of a uniform spread is that of its moments: ∫x²dx / spacing over the cell."""
+    spacing, std, edges = 0.03, 0.02, np.linspace(-0.015, 0.015, 100_001)
+    one = group_by_motion(
+        MOTION, np.array([[0.5, 0.2]]), np.array([0.5]), np.zeros((1, 3)), np.full((1, 3), std), spacing
+    )
+    assert np.allclose(one.variance, std**2 + np.mean(edges**2), rtol=1e-4, atol=0.0)
+
+
+def test_velocities_of_hands_rounded_to_the_grid_are_those_of_the_motion_within_the_rounding() -> None:
+    """Half a cell of 3 mm at each end of the span of 12 ms is 0.25 m/s; over a step of 2 ms it would be 1.5."""
+    since = 0.002 * np.arange(40)
+    speed = np.array([6.13, 0.23, 5.17])  # no whole number of cells in a step
+    exact = np.outer(since, speed)
+    rounded = 0.003 * np.round(exact / 0.003)
+    theta = np.tile((0.5, 0.2), (len(since), 1))
+    table = group_by_motion(MOTION, theta, since, rounded, np.full((1, 3), 0.02), 0.003)
+    inner = slice(3, -3)  # at the ends the span is cut
+    assert np.abs(table.velocity[inner] - speed).max() <= 0.003 / 0.012 + 1e-9
