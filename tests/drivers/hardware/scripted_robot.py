@@ -141,7 +141,9 @@ RESTING = [marker(1, label + 1, place) for label, place in BODY.items()]
 def scripted_robot(
     faults: Faults = no_fault, armed: bool = True, version: tuple[int, int] = (4, 1), **board: Any
 ) -> Iterator[ScriptedRobot]:
-    robot = ScriptedRobot(BoardConfig(**{"watchdog": 1.0, **board}), faults, armed, version)
+    # Longer than a board may wait, since a busy machine can hold up both sides.
+    patience = {name: PATIENCE for name in ("watchdog", "silence") if name not in board}
+    robot = ScriptedRobot(BoardConfig(**board).model_copy(update=patience), faults, armed, version)
     try:
         yield robot
     finally:

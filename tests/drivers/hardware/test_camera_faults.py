@@ -55,6 +55,28 @@ def test_stalled_cameras_are_reported_and_void_the_trial(tmp_path: Path, caplog:
     assert silence >= round(1e3 * NatNetConfig().silence_limit)
 
 
+class Cover:
+    """Covers the cameras of a scripted robot, whose frames are sent by another thread."""
+
+    def __init__(self) -> None:
+        self._closed, self._withheld = threading.Event(), threading.Event()
+
+    def __call__(self, _: float, markers: Markers) -> Markers | None:
+        if not self._closed.is_set():
+            return markers
+        self._withheld.set()
+        return None
+
+    def close(self) -> None:
+        """Return when every frame that is not withheld has been sent."""
+        self._withheld.clear()
+        self._closed.set()
+        assert self._withheld.wait(PATIENCE)
+
+    def open(self) -> None:
+        self._closed.clear()
+
+
 class VirtualTime:
     """A clock that only waiting moves, and that nothing interrupts."""
 
@@ -77,24 +99,22 @@ def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of
     step: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However long the backend is asked to wait: in virtual time it wakes up when it is due, to the microsecond."""
-    covered = threading.Event()
-
-    def cover(_: float, markers: Markers) -> Markers | None:
-        return None if covered.is_set() else markers
+    cover = Cover()
 
     with scripted_robot(cover) as robot:
-        one = backend(config(robot, camera_patience=0.25))
+        one = backend(config(robot, camera_patience=0.25, exposures={"ahead": 1e6}))
 
         def go_on() -> None:
             while True:
                 one.advance(one.utime + step)
 
         one.start(memory_bus(), Trial(TrialKind.THROW, 0, 1))
-        covered.set()
-        one.advance(one.utime + 20_000)  # what was on its way has come
+        cover.close()
         virtual = VirtualTime()
+        virtual.now = one._begin  # however long the machine has taken since
         monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
         monkeypatch.setattr(hardware_backend, "select", virtual)
+        one.advance(1000)  # what was on its way has come
         last = round(one._exposures.heard * 1e6)
         with contextlib.closing(one), pytest.raises(TrialVoidError, match="no camera frame for 250 ms"):
             go_on()
@@ -109,28 +129,25 @@ def test_lost_cameras_are_reported_at_the_limit_and_void_the_trial_at_the_end_of
 def test_every_stall_is_reported_once_and_the_trial_goes_on(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    covered = threading.Event()
-
-    def cover(_: float, markers: Markers) -> Markers | None:
-        return None if covered.is_set() else markers
+    cover = Cover()
 
     with scripted_robot(cover) as robot:
-        one = backend(config(robot, board_silence=1e6, camera_patience=1e6))
+        one = backend(config(robot, board_silence=1e6, camera_patience=1e6, exposures={"ahead": 1e6}))
         one.start(memory_bus(), Trial(TrialKind.THROW, 0, 1))
         virtual = VirtualTime()
+        virtual.now = one._begin
         monkeypatch.setattr(hardware_backend, "monotonic_utime", virtual.utime)
         monkeypatch.setattr(hardware_backend, "select", virtual)
         with contextlib.closing(one):
             for stalls in (1, 2):
-                covered.set()
+                cover.close()
                 for _ in range(50):
                     one.advance(one.utime + 7_000)
                 assert [message.partition(" for ")[0] for message in caplog.messages] == ["no camera frame"] * stalls
-                covered.clear()
+                cover.open()
                 last = one._exposures.heard
-                while one._exposures.heard == last:  # what the robot sends takes time of its own
+                while one._exposures.heard == last:
                     select.select([one._cameras.fileno()], [], [], PATIENCE)
-                    virtual.now = max(virtual.now, monotonic_utime())
                     one.advance(one.utime + 1_000)
 
 
