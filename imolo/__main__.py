@@ -2,4 +2,5 @@
 
 from imolo.command_line.start import main
 
-main()
+if __name__ == "__main__":
+    main()
