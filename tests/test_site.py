@@ -62,7 +62,8 @@ def test_every_command_and_its_options_are_shown() -> None:
 
 def public_names(module: ModuleType) -> list[str]:
     """Return classes and functions that a module defines itself."""
-    found = [name for name, thing in vars(module).items() if getattr(thing, "__module__", "") == module.__name__]
+    things = {name: thing for name, thing in vars(module).items() if callable(thing)}  # a TypeVar is not
+    found = [name for name, thing in things.items() if getattr(thing, "__module__", "") == module.__name__]
     return [
         f"{module.__name__}.{name}" for name in found if not name.startswith("_") and inspect.getdoc(vars(module)[name])
     ]
