@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import struct
+import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -128,6 +129,18 @@ class Bus:
             newest, self._newest = self._newest, {}
             for channel, (handler, data) in newest.items():
                 handler(channel, data)
+
+    def settle(self, channel: str, timeout: float = 1.0) -> None:
+        """Handle messages until all that this bus sent on a channel has come back, which over a network takes a while.
+
+        Args:
+            channel: One of those that `subscribe_foreign` hears.
+            timeout: After which it counts as lost [s].
+        """
+        deadline = time.monotonic() + timeout
+        self.drain()
+        while self._own[channel].total() > 0 and (left := deadline - time.monotonic()) > 0:
+            self.wait(left)
 
     def wait(self, timeout: float) -> None:
         """Wait for a message for `timeout` [s] at most, and handle all that is there."""

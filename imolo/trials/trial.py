@@ -88,17 +88,26 @@ def run_trial(
             # A clock on the wall may have passed the end while the controller computed: what happened must be heard.
             backend.advance(end)
             bus.publish(channels.TRIAL, _event(config, trial, EventName.END, backend.utime))
-            bus.drain()
+            bus.settle(channels.TRIAL)
         except TrialVoidError as void:
             event = _event(config, trial, EventName.END, backend.utime)
             event.detail += f"; void: {void}"
             bus.publish(channels.TRIAL, event)
-            bus.drain()
+            _hear_out(bus)
             raise
         finally:
             backend.close()
             bus.close()
     return backend.utime * 1e-6
+
+
+def _hear_out(bus: Bus) -> None:
+    """Handle what a void trial still has to say; a second reason changes nothing."""
+    while True:
+        try:
+            return bus.settle(channels.TRIAL)
+        except TrialVoidError:
+            continue
 
 
 def describe_robot(config: ExperimentConfig, utime: int) -> robot_t:

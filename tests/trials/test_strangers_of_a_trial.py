@@ -13,6 +13,7 @@ from imolo.errors import TrialVoidError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
+from imolo.messaging.transport import MemoryTransport
 from imolo.trials.trial import Bystander, run_trial
 from imolo_msgs import trial_event_t
 
@@ -75,3 +76,30 @@ def test_two_programs_that_say_the_same_are_told_apart() -> None:
     bus._transport.publish(channels.ACTUATOR_COMMAND, message.encode())
     bus.drain()
     assert len(heard) == 1
+
+
+class LateTransport(MemoryTransport):
+    """Gives what was sent only to those who wait, as a network does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._under_way: list[tuple[str, bytes]] = []
+
+    def publish(self, channel: str, data: bytes) -> None:
+        self._under_way.append((channel, data))
+
+    def wait(self, timeout: float) -> bool:
+        for sent in self._under_way:
+            super().publish(*sent)
+        self._under_way.clear()
+        return True
+
+
+def test_last_word_of_a_trial_is_waited_for() -> None:
+    bus, heard = Bus("memq://"), []
+    bus._transport = LateTransport()
+    bus.subscribe_foreign(channels.TRIAL, heard.append)
+    bus.subscribe_raw(lambda channel, data: heard.append(channel))
+    bus.publish(channels.TRIAL, trial_event_t())
+    bus.settle(channels.TRIAL)
+    assert heard == [channels.TRIAL]
