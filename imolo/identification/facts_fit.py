@@ -44,6 +44,8 @@ logger = logging.getLogger(__name__)
 FIRST_STEP = 0.15  # of the range: standard deviation of CMA-ES's first generation
 FAILED = 1e4  # loss of a robot that could not be played
 APART = 0.1  # of the range: two members of an ensemble differ by this in some setting
+SEARCHED = 0.6  # of the robots are played in search of the best one, the others in search of different ones as good
+LONGEST_STEP = 0.5  # of the range, away from a robot that meets the facts
 MOST_BYTES = 1_000_000
 
 
@@ -128,7 +130,10 @@ def fit_to_facts(
     as_it_is = {one.path: read_setting(config, one.path) for one in parameters}
     start = {one.path: one.start for one in parameters}
     played = [bench.play(settings) for settings in ([as_it_is] if start == as_it_is else [as_it_is, start])]
-    _search(study, parameters, bench, played, lambda: progress(label, len(played), study.evaluations))
+    search = _Search(study, parameters, bench, played, lambda: progress(label, len(played), study.evaluations))
+    for_best = round(SEARCHED * study.evaluations)
+    search.find_best(for_best)
+    search.find_others(study.evaluations - for_best)
     losses = np.array([loss(study, one) for one in played])
     members = _ensemble(study, parameters, played, losses)
     result = _result(study, source, config, parameters, played, losses, members)
@@ -146,35 +151,62 @@ def loss(study: FactsStudy, played: _Played) -> float:
     return float(sum(fact.miss(fact.value(played.values)) ** 2 for fact in seen))
 
 
-def _search(
-    study: FactsStudy,
-    parameters: Sequence[Parameter],
-    bench: FactsBench,
-    played: list[_Played],
-    tell: Callable[[], object],
-) -> None:
-    import cma
+class _Search:
+    """Plays robots whose settings it chooses, and appends them to those that were played."""
 
-    start = np.array([one.to_unit(one.start) for one in parameters])
-    options = {"bounds": [0.0, 1.0], "seed": study.seed + 1, "maxfevals": study.evaluations, "verbose": -9}
-    strategy = cma.CMAEvolutionStrategy(start.tolist(), FIRST_STEP, options)
-    failures = 0
-    while not strategy.stop() and len(played) + failures + strategy.popsize <= study.evaluations:
-        asked = strategy.ask()
-        values = []
-        for units in asked:
-            try:
-                one = bench.play(from_units(parameters, np.array(units)))
-            except ImoloError as error:  # a robot that falls apart in mid-search is a bad one
-                if not failures:
-                    logger.warning("%s; the search goes on without this robot and others like it", error)
-                failures += 1
-                values.append(FAILED)
-                continue
-            played.append(one)
-            values.append(loss(study, one) + sum(p.surprise(one.settings[p.path]) for p in parameters))
-            tell()
-        strategy.tell(asked, values)
+    def __init__(
+        self,
+        study: FactsStudy,
+        parameters: Sequence[Parameter],
+        bench: FactsBench,
+        played: list[_Played],
+        tell: Callable[[], object],
+    ) -> None:
+        self._study, self._parameters, self._bench, self._played = study, parameters, bench, played
+        self._tell = tell
+        self._failed = False
+
+    def find_best(self, most: int) -> None:
+        """Search the best robot by CMA-ES, playing `most` robots."""
+        import cma
+
+        start = np.array([one.to_unit(one.start) for one in self._parameters])
+        options = {"bounds": [0.0, 1.0], "seed": self._study.seed + 1, "maxfevals": most, "verbose": -9}
+        strategy = cma.CMAEvolutionStrategy(start.tolist(), FIRST_STEP, options)
+        asked = 0
+        while not strategy.stop() and asked + strategy.popsize <= most:
+            places = strategy.ask()
+            asked += len(places)
+            strategy.tell(places, [self._try(np.array(place)) for place in places])
+
+    def find_others(self, count: int) -> None:
+        """Walk away from robots that meet the facts, along one setting or all of them, to find others that do.
+
+        A search that has converged says nothing of what it left: its last robots are nearly one and the same.
+        """
+        rng = np.random.default_rng(self._study.seed)
+        for _ in range(count):
+            losses = np.array([loss(self._study, one) for one in self._played])
+            good = np.flatnonzero(losses <= losses.min() + self._study.as_well)
+            origin = to_units(self._parameters, self._played[int(rng.choice(good))].settings)
+            direction = rng.uniform(-1.0, 1.0, len(self._parameters))
+            if rng.random() < 0.5:
+                direction *= np.arange(len(direction)) == rng.integers(len(direction))
+            step = rng.uniform(APART, LONGEST_STEP) * direction / np.abs(direction).max()
+            self._try(np.clip(origin + step, 0.0, 1.0))
+
+    def _try(self, place: Array) -> float:
+        """Play a robot, keep it if it can be played, and return what CMA-ES is told of it."""
+        try:
+            one = self._bench.play(from_units(self._parameters, place))
+        except ImoloError as error:  # a robot that falls apart in mid-search is a bad one
+            if not self._failed:
+                logger.warning("%s; the search goes on without this robot and others like it", error)
+            self._failed = True
+            return FAILED
+        self._played.append(one)
+        self._tell()
+        return loss(self._study, one) + sum(p.surprise(one.settings[p.path]) for p in self._parameters)
 
 
 def _ensemble(

@@ -15,11 +15,6 @@ from imolo.identification.parameters import (
 
 Array = NDArray[np.float64]
 
-FIRST_STEP = 0.15  # of the range: standard deviation of CMA-ES's first generation
-FAILED = 1e4  # loss of a robot that could not be played
-APART = 0.1  # of the range: two members of an ensemble differ by this in some setting
-MOST_BYTES = 1_000_000
-
 
 class FactConfig(Model):
     """One published fact.

@@ -101,7 +101,7 @@ def study(**changes: object) -> FactsStudy:
             "simulation.actuators.tube_length": {"range": [0.1, 2.0], "scale": "log"},
         },
         "facts": {"made up": {"measures": ["speed"], "at_least": 0.99, "at_most": 1.01, "tolerance": 0.05}},
-        "evaluations": 45,
+        "evaluations": 75,
         "ensemble": 6,
     }
     return FactsStudy.model_validate({**content, **changes})
