@@ -111,6 +111,27 @@ def test_interrupted_command_that_waits_ends_with_130(command: str, tmp_path: Pa
     assert "Traceback" not in errors
 
 
+def test_interrupt_that_python_drops_is_repeated() -> None:
+    """Such as one that arrives in the callback of a lock that importing lets go."""
+    program = """
+import signal, sys, time, types, weakref
+from imolo.command_line import start
+class Lock: pass
+def run():
+    lock = Lock()
+    told = weakref.ref(lock, lambda _: signal.raise_signal(signal.SIGINT))
+    del lock
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        sys.exit(130)
+sys.modules["imolo.command_line.main"] = types.SimpleNamespace(main=run)
+start.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stderr) == (130, "")
+
+
 def test_shell_completes_commands_and_choices() -> None:
     def complete(line: str) -> str:
         asked = {"_IMOLO_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()))}
