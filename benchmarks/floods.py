@@ -5,9 +5,11 @@ from the moment at which its last command was sent to the moment at which the co
 """
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import random
+import signal
 import socket
 import sys
 import time
@@ -38,6 +40,7 @@ BLOCKED = 0.5  # [s] that a reading of the sensors takes in one row
 COMMANDS, RATE = 3, 120.0  # of a try, and how often [Hz]
 PATIENCE = 10.0  # [s]
 TRIES = 100
+PR_SET_PDEATHSIG = 1  # of Linux' prctl
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -142,13 +145,20 @@ def _arm(address: Address, controller: BoardClient) -> None:
 
 @contextlib.contextmanager
 def _running(target: Callable[..., None], *arguments: Any) -> Iterator[None]:
-    process = SPAWN.Process(target=target, args=arguments, daemon=True)
+    process = SPAWN.Process(target=_until_we_end, args=(os.getpid(), target, *arguments), daemon=True)
     process.start()
     try:
         yield
     finally:
         process.kill()
         process.join()
+
+
+def _until_we_end(parent: int, target: Callable[..., None], *arguments: Any) -> None:
+    """Do something in a process that ends with this one, however this one ends."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() == parent:
+        target(*arguments)
 
 
 def _board(port: Connection, vented: Any, blocked: float) -> None:

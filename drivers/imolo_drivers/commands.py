@@ -80,7 +80,7 @@ def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None)
 
     address, name = parse_address(where), person or getpass.getuser()
     known = read_secret(secret) if secret else b""
-    client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
+    client = BoardClient(address, ClientRole.OPERATOR, name, PATIENCE, secret=known)
     client.close()
     welcome = client.welcome
     state = BoardState(welcome.state_at_welcome).name.lower()
@@ -95,7 +95,7 @@ def arm(where: BoardAddress = BOARD, person: Person = "", secret: Secret = None)
     # Not typer's prompt, after which Ctrl-C would be an exit code of 1.
     if input("Is everybody clear of the robot? Type 'arm' to arm it: ") != "arm":
         raise BackendError("not armed")
-    client = BoardClient(address, ClientRole.OPERATOR, name, secret=known)
+    client = BoardClient(address, ClientRole.OPERATOR, name, PATIENCE, secret=known)
     client.wait(lambda: client.state.state_number > 0, PATIENCE)
     session, before = welcome.controller_session, client.state.num_armed
     client.arm(session, name, welcome.entered_at_welcome)

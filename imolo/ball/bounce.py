@@ -14,6 +14,7 @@ WINDOW = 0.05  # [s] of free flight on each side of a contact, if there is as mu
 FEWEST_IN_WINDOW = 6  # twice the unknowns of a quadratic
 AIR = 5.0  # [m/s²] standard deviation of the acceleration about gravity: lift and drag, or the hand that holds the ball
 CERTAIN = 4.0  # standard deviations that noise exceeds once in 16,000; then it costs the sample at an end
+LIKELY = 4.0  # twice the logarithm of a ratio of likelihoods: two standard deviations
 LEAST_CHANGE = 0.5  # share of the velocity that a contact changes: towards the floor, or of the faster side
 LEAST_JUMP = float(np.linalg.norm(GRAVITY)) * WINDOW  # [m/s] less is not told from what gravity does in a window
 MOST_GAIN = 3.0  # times the velocity of falling; a floor gives twice of it at most, a throw from rest any
@@ -84,9 +85,12 @@ def _kinks(time: Array, position: Array) -> list[tuple[int, bool]]:
         # Which side a sample is on is decided on the same samples for every time that the contact may have.
         same = np.full_like(split[near], split[top])
         again = _Meetings.fit(time, position, same, contact[near], size, noise[near])
-        best = int(np.argmin(again.misfit))
-        kink = int(split[near][best])
-        kinks.append((kink, kink > 1 and bool(again.bounces()[best])))  # a single sample does not say that it fell
+        bounces = again.bounces()
+        misfit = np.where(bounces | again.hits(), again.misfit, np.inf)
+        best = int(np.argmin(misfit))
+        if misfit[best] <= again.misfit.min() + LIKELY:  # else a slip of the cameras at an end
+            kink = int(split[near][best])
+            kinks.append((kink, kink > 1 and bool(bounces[best])))  # a single sample does not say that it fell
         evidence[near] = 0.0
     return sorted(kinks)
 

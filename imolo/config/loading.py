@@ -46,7 +46,10 @@ def named_config(text: str, **settings: Any) -> ExperimentConfig:
         ConfigError: The file cannot be read, a key is unknown, or a value is out of range.
         BackendNotFoundError: A plug-in is unknown or not installed.
     """
-    return load_config(Path(text)) if is_config_file(text) else config_for(text, **settings)
+    if is_config_file(text):
+        return load_config(Path(text))
+    BACKENDS.status(text)  # which need not even be a text, and no settings hold it then
+    return config_for(text, **settings)
 
 
 def make_config(content: Mapping[str, Any], where: str = "the config") -> ExperimentConfig:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -62,12 +63,15 @@ def export(log: Path, to: ExportFormat, out: Path | None, trial: int | None = No
         trial: Which trial, from 0; None for all of them.
 
     Raises:
-        BusError: The log cannot be read, or has no such trial.
+        BusError: The log cannot be read, has no such trial, or holds nothing of ours.
         MissingToolError: The packages of the extra `export` are not installed.
         ResultsError: The files cannot be written, or are there and not an export of this log.
     """
     name = log_name(log) if trial is None else f"{log_name(log)}_trial_{trial}"
-    source = str(log.resolve()) if trial is None else f"{log.resolve()} trial {trial}"
+    # The name of a file may be any bytes, the text in a file may not.
+    source = os.fsencode(log.resolve()).decode(errors="backslashreplace") + (
+        f" trial {trial}" if trial is not None else ""
+    )
     try:
         if to is ExportFormat.MCAP:
             from imolo.inspect.mcap_export import source_of, write_mcap
@@ -152,6 +156,8 @@ def _write_tables(events: TrialEvents, robot: Names, folder: Path, to: ExportFor
     tables: dict[str, _Table] = {}
     for heard in Timeline(events, CHANNELS):
         tables.setdefault(heard.event.channel, _Table()).add(heard)
+    if not tables:
+        raise events.nothing()
     names = [name for name in CHANNELS if name in tables]
     files = [folder / f"{name}.{to.value}" for name in names]
     told = folder / SOURCE

@@ -49,7 +49,7 @@ def write_mcap(events: TrialEvents, file: BinaryIO, source: str) -> None:
         source: What the file is made of, for `source_of`.
 
     Raises:
-        BusError: The log cannot be read.
+        BusError: The log cannot be read, or holds nothing of ours.
         MissingToolError: The package `mcap` is not installed.
         OSError: The file cannot be written.
         ResultsError: The log is stamped before zero, or after the last time that MCAP knows.
@@ -71,6 +71,8 @@ def write_mcap(events: TrialEvents, file: BinaryIO, source: str) -> None:
             )
         data = json.dumps(content, allow_nan=True).encode()
         writer.add_message(topics[topic], nanoseconds, data, nanoseconds)
+    if not topics:
+        raise events.nothing()
     for attached in started.attachments:
         writer.add_attachment(0, 0, attached.name, attached.media_type, attached.data)
     writer.add_metadata(UNITS, started.units())

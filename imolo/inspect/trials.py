@@ -61,6 +61,10 @@ class TrialEvents:
             held = "no start of a trial" if not self.count else f"{self.count} trials, counted from 0"
             raise BusError(f"{self.reader.path} has no trial {self.trial}; it holds {held}")
 
+    def nothing(self) -> BusError:
+        """Return what to raise where none of the events was a message of ours."""
+        return BusError(f"{self.reader.path} holds no message of a channel of ours; `imolo top` lists what it holds")
+
     def _begin(self, event: LogEvent) -> None:
         message = decode(TRIAL, event.data)
         if message is None or message.event != EventName.START:

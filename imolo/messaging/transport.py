@@ -92,7 +92,7 @@ class LcmTransport:
             url = udpm.check_url(url)
         try:
             self._lcm = lcm.LCM(url)
-        except RuntimeError as error:
+        except (RuntimeError, UnicodeEncodeError) as error:
             raise BusError(f"cannot open the LCM bus {url!r}; {udpm.MULTICAST_RECIPE}") from error
         self._subscriptions: list[Any] = []
 

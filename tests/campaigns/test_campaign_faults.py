@@ -14,6 +14,7 @@ import lcm
 import pytest
 from matplotlib.figure import Figure
 from requirements import needs
+from tries import tries
 
 from imolo.campaigns import campaign, kept_trials
 from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
@@ -150,9 +151,9 @@ except ImoloError as error:
 """
 
 
-def in_program(*arguments: object, before: str = "") -> subprocess.CompletedProcess[str]:
+def in_program(*arguments: object, program: str = FULL) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", before + FULL, *map(str, arguments)],
+        [sys.executable, "-c", program, *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
@@ -228,12 +229,43 @@ def test_campaign_killed_at_any_write_goes_on_bit_for_bit(
 ) -> None:
     for number in numbers:
         path = tmp_path / str(number)
-        ended = in_program(path, before=KILL.format(number=number))
+        ended = in_program(path, program=KILL.format(number=number) + FULL)
         assert ended.returncode == -signal.SIGKILL, ended.stderr
         assert_nothing_is_half(path, whole)
         play_campaign(path)
         assert results(path) == whole
         assert not [file for file in path.rglob("*") if file.suffix in (".tmp", ".part")]
+
+
+AGAIN = """
+import os, random, signal, sys
+from pathlib import Path
+from test_campaign_faults import campaign, play_at_once, play_campaign
+campaign.run_task = play_at_once
+folder, wanted, chance, took, kills, number = Path(sys.argv[1]), int(sys.argv[2]), random.Random(1), 0.0, 0, 0
+while kills < wanted:
+    child = os.fork()
+    if not child:
+        signal.setitimer(signal.ITIMER_PROF, chance.uniform(0.0, took))
+        play_campaign(folder / str(number))
+        os._exit(0)
+    _, status, used = os.wait4(child, 0)
+    ended = os.waitstatus_to_exitcode(status)
+    assert ended in (0, -signal.SIGPROF), ended
+    kills, number, took = kills + bool(ended), number + (not ended), took or used.ru_utime + used.ru_stime
+"""
+
+
+def test_campaign_killed_again_and_again_goes_on_bit_for_bit(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    """After a share of its time on the processor that chance chooses, each time in what the killed one left."""
+    ended = in_program(tmp_path, tries(5), program=AGAIN)
+    assert ended.returncode == 0, ended.stderr
+    folders = list(tmp_path.iterdir())
+    assert len(folders) > 1
+    for path in folders:
+        assert_nothing_is_half(path, whole)
+        play_campaign(path)
+        assert results(path) == whole
 
 
 # Files of results.

@@ -8,7 +8,7 @@ from liberobot import CONFIG, TRAINING_MOTIONS
 from requirements import BACKEND_NAMES, BACKEND_PARAMS
 
 from imolo.config.experiment import ExperimentConfig
-from imolo.config.loading import load_config, make_config, validated_config
+from imolo.config.loading import load_config, make_config, named_config, validated_config
 from imolo.config.reading import MOVED
 from imolo.contracts.backend import BackendPlugin
 from imolo.contracts.registry import BACKENDS
@@ -91,6 +91,11 @@ def test_file_that_is_no_text_is_not_yaml(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x80")
     with pytest.raises(ConfigError, match="is not YAML"):
         load_config(path)
+
+
+def test_name_that_is_no_text_is_an_unknown_backend() -> None:
+    with pytest.raises(BackendNotFoundError, match="unknown backend"):
+        named_config("mujoc\udcfc")
 
 
 @pytest.mark.parametrize(("place", "reason"), [("gone.yaml", "No such file"), ("", "Is a directory")])

@@ -109,6 +109,25 @@ def test_every_command_shows_a_strange_log_or_says_why_not(
         assert not Path("x.mcap").exists()
 
 
+@pytest.mark.parametrize("to", ["mcap", "csv"])
+def test_log_whose_name_is_no_text_is_exported_again_and_again(recorded: Recorded, run: Run, to: str) -> None:
+    path = Path(os.fsdecode(b"s\xfcd.lcmlog"))
+    path.write_bytes(recorded.first.read_bytes())
+    for _ in range(2):
+        code, _, errors = run("export", path, "--to", to)
+        assert (code, errors) == (0, "")
+
+
+@pytest.mark.parametrize("to", ["mcap", "csv"])
+def test_log_of_others_alone_is_not_exported(recorded: Recorded, tmp_path: Path, run: Run, to: str) -> None:
+    others = [event._replace(channel="CAMERA", data=b"x") for event in read_events(recorded.first)]
+    path = write_events(tmp_path / "others.lcmlog", others)
+    code, output, errors = run("export", path, "--to", to)
+    assert (code, output) == (2, "")
+    assert is_one_line_about(errors, path.name)
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_clock_that_steps_back_goes_on_where_it_was(recorded: Recorded, tmp_path: Path) -> None:
     events = list(read_events(recorded.first))
     path = write_events(tmp_path / "log", stepping_back(events))

@@ -101,7 +101,7 @@ class BoardClient:
             address: Host and port of the board.
             role: What this client is there for.
             name: Who it is, for the log of the board.
-            patience: How long to try [s].
+            patience: How long to try, and to wait for each answer [s].
             dry_run: Whether nothing is to move.
             clock: Our own [µs].
             secret: What the board must know, too; empty for a board without.
@@ -112,7 +112,7 @@ class BoardClient:
         self.offset, self.state, self.jumped = ClockOffset(), board_state_t(), 0
         self.announced = self._disarmed = False
         self.refusals: deque[board_refusal_t] = deque(maxlen=100)
-        self._clock, self._address, self._secret = clock, address, secret
+        self._clock, self._address, self._secret, self._patience = clock, address, secret, patience
         self._challenge = board_challenge_t()
         self._states: list[board_state_t] = []
         self._decoder = FrameDecoder()
@@ -262,8 +262,8 @@ class BoardClient:
             raise BackendError(f"the board at {self._where} refuses: {self.refusals[-1].refusal_reason}")
 
     def _wait_for(self, until: Callable[[], bool], what: str) -> None:
-        if not self.wait(until, PATIENCE):
-            raise LinkLostError(f"the board at {self._where} did not tell {what} for {PATIENCE:g} s")
+        if not self.wait(until, self._patience):
+            raise LinkLostError(f"the board at {self._where} did not tell {what} for {self._patience:g} s")
 
     def _send(self, message: Any) -> None:
         """Send a frame with one call: two of them would wait 40 ms for each other's acknowledgement."""

@@ -19,19 +19,25 @@ from imolo.config.loading import config_for
 from imolo.config.reading import read_model
 from imolo.errors import BackendError, ConfigError
 from imolo_drivers.address import parse_address
+from imolo_drivers.board import client as board_client
 from imolo_drivers.board.client import BoardClient
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.handshake import ClientRole
 from imolo_drivers.board.server import PORT
 from imolo_drivers.commands import BOARD
 
-PATIENT = {"watchdog": 1.0, "silence": 5.0}
 runner = CliRunner()
 
 
 def address(board: object) -> str:
     host, port = board.address  # type: ignore[attr-defined]
     return f"{host}:{port}"
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands wait as long as a busy machine needs."""
+    monkeypatch.setattr(board_client, "PATIENCE", PATIENCE)
 
 
 @pytest.fixture
@@ -64,14 +70,14 @@ def test_terminal_that_is_held_up_does_not_hold_up_the_board() -> None:
                 stranger.sendall(b"This is no frame of the valve board's.")
                 while stranger.recv(4096):
                     pass
-        client = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test")
+        client = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test", PATIENCE)
         assert client.wait(lambda: client.state.state_number > 0, PATIENCE)
         client.close()
         program.kill()
 
 
 def test_person_who_types_arm_arms() -> None:
-    with running_board(**PATIENT) as board, controller(board, armed=False) as client:
+    with running_board() as board, controller(board, armed=False) as client:
         client.ask_time()
         result = runner.invoke(app, ["arm", address(board), "--person", "Ada"], input="arm\n")
         assert result.exit_code == 0, result.output
@@ -84,7 +90,7 @@ def test_person_who_arms_a_board_with_a_broken_converter_is_told(monkeypatch: py
         if any(pressure):
             raise BackendError("the DAC does not answer")
 
-    with running_board(**PATIENT) as board, controller(board, armed=False):
+    with running_board() as board, controller(board, armed=False):
         monkeypatch.setattr(board.valves, "write", break_down)
         result = runner.invoke(app, ["arm", address(board)], input="arm\n")
         assert str(result.exception) == "the board was armed and has latched at once: the DAC does not answer"
@@ -92,7 +98,7 @@ def test_person_who_arms_a_board_with_a_broken_converter_is_told(monkeypatch: py
 
 @pytest.mark.parametrize("answer", ["", "yes", "ARM"])
 def test_any_other_answer_does_not_arm(answer: str) -> None:
-    with running_board(**PATIENT) as board, controller(board, armed=False):
+    with running_board() as board, controller(board, armed=False):
         result = runner.invoke(app, ["arm", address(board)], input=f"{answer}\n")
         assert isinstance(result.exception, BackendError)
         assert board.state == "VENTED"
@@ -103,19 +109,19 @@ def test_ctrl_c_at_the_question_does_not_arm_and_is_130(monkeypatch: pytest.Monk
         raise KeyboardInterrupt
 
     monkeypatch.setattr("builtins.input", press)
-    with running_board(**PATIENT) as board, controller(board, armed=False):
+    with running_board() as board, controller(board, armed=False):
         assert runner.invoke(app, ["arm", address(board)]).exit_code == 130
         assert board.state == "VENTED"
 
 
 def test_nobody_is_asked_where_there_is_nothing_to_arm() -> None:
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         result = runner.invoke(app, ["arm", address(board)], input="arm\n")
         assert "no controller" in str(result.exception)
 
 
 def test_disarm_vents_without_asking() -> None:
-    with running_board(**PATIENT) as board, controller(board):
+    with running_board() as board, controller(board):
         result = runner.invoke(app, ["disarm", address(board), "--person", "Ada"])
         assert result.exit_code == 0, result.output
         assert result.output == "vented: disarmed by Ada\n"

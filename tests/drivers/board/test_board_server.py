@@ -6,9 +6,9 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 
 import pytest
+from board_by_hand import armed_controller, board_by_hand
 from board_link import PATIENCE, VENTED, RunningBoard, arm, bad_command, command, controller, eventually, running_board
 
 from imolo.errors import BackendError
@@ -17,16 +17,14 @@ from imolo_drivers.board.board import BoardState
 from imolo_drivers.board.client import BoardClient, ClockOffset, LinkLostError
 from imolo_drivers.board.config import BoardConfig
 from imolo_drivers.board.connection import UNSENT
-from imolo_drivers.board.framing import MAX_PAYLOAD, encode_frame
+from imolo_drivers.board.framing import MAX_PAYLOAD, FrameType, encode_frame
 from imolo_drivers.board.handshake import ClientRole, make_hello
 from imolo_drivers.board.server import BoardServer, monotonic_utime
 from imolo_drivers.board.valve_io import SimulatedValves
 
-PATIENT = {"watchdog": 1.0, "silence": 5.0}  # for claims that are not about silence, on a busy machine
-
 
 def start_motion(board: RunningBoard, client: BoardClient, sequence: int = 1) -> None:
-    client.command(command(board.clock() + 1000, sequence))
+    client.command(command(board.clock() + 1000, sequence, lengths=(8_000_000, 400_000)))  # as long as may be
     assert eventually(lambda: client.poll() is not None and client.state.phase_in_force == 1)
     assert board.valves.pressure[0] == 3e5
 
@@ -46,25 +44,23 @@ def still_serves(board: RunningBoard) -> bool:
 
 
 def test_motion_runs_over_the_link() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
-        onset = board.clock() + 20_000
-        states = []
-        for sequence in range(1, 100):
-            client.command(command(onset, sequence, 3e5, (50_000, 50_000)))
-            assert client.wait(lambda sequence=sequence: client.state.accepted_sequence == sequence, PATIENCE)
-            states.append(client.state)
-            if client.state.measured_utime > onset + 100_000:
-                break
-            time.sleep(0.002)
-        assert {state.given_target[0] for state in states} >= {0.0, 3e5, 6e5}
+    with board_by_hand() as board:
+        client = armed_controller(board)
+        onset = board.now + 20_000
+        for sequence in range(1, 80):
+            client.send(command(onset, sequence, 3e5, (50_000, 50_000)))
+            board.turn(2000)
+        states = client.frames(FrameType.STATE)
+        assert {state.given_target[0] for state in states} == {0.0, 3e5, 6e5}
+        assert states[-1].accepted_sequence > 70
         assert states[-1].phase_in_force == 0
-        assert client.state.board_state == BoardState.ARMED
-        assert not client.refusals
+        assert states[-1].board_state == BoardState.ARMED
+        assert not client.refusals()
 
 
 @pytest.mark.parametrize("reset", [False, True])
 def test_cable_cut_in_a_phase_vents(reset: bool) -> None:
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         with controller(board) as client:
             start_motion(board, client)
             if reset:
@@ -75,24 +71,29 @@ def test_cable_cut_in_a_phase_vents(reset: bool) -> None:
 
 
 def test_half_open_link_vents_and_makes_room_for_the_next_controller() -> None:
-    with running_board(silence=0.5) as board:
-        silent = BoardClient(board.address, ClientRole.CONTROLLER, "gone without a word")
+    with running_board() as board:
+        silent = BoardClient(board.address, ClientRole.CONTROLLER, "gone without a word", PATIENCE)
         arm(board)
+        board.server.board._watchdog = 90_000  # [µs]
         assert latched(board, "nothing heard of the controller")
+        board.server._silence = 500_000
         assert eventually(lambda: board.server.board.session == 0)
-        assert any("nothing heard for 0.5 s" in line for line in board.said)
+        assert any("nothing heard for" in line for line in board.said)
+        board.server.board._watchdog = board.server._silence = 60_000_000
         assert still_serves(board)
         silent.close()
 
 
 def test_planner_that_stops_while_the_link_lives_vents() -> None:
-    with running_board(watchdog=0.1) as board, controller(board) as client:
-        client.command(command(board.clock() + 1000))
+    with board_by_hand() as board:
+        client = armed_controller(board)
+        client.send(command(board.now + 1000))
+        board.until(lambda: board.valves.pressure[0] == 3e5)
         while board.state == "ARMED":
-            client.ask_time()
-            client.poll()
-            time.sleep(0.005)
-        assert latched(board, "no valid command")
+            client.ask()
+            board.turn(5000)
+        assert board.state == "LATCHED"
+        assert "no valid command" in board.server.board.cause
 
 
 def test_killed_planner_vents() -> None:
@@ -100,14 +101,14 @@ def test_killed_planner_vents() -> None:
 import sys, time
 from imolo_drivers.board.client import BoardClient
 from imolo_drivers.board.handshake import ClientRole
-client = BoardClient(("127.0.0.1", int(sys.argv[1])), ClientRole.CONTROLLER, "to be killed")
+client = BoardClient(("127.0.0.1", int(sys.argv[1])), ClientRole.CONTROLLER, "to be killed", 60.0)
 print("connected", flush=True)
 while True:
     client.ask_time()
     client.poll()
     time.sleep(0.005)
 """
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         arguments = [sys.executable, "-c", program, str(board.address[1])]
         with subprocess.Popen(arguments, stdout=subprocess.PIPE) as planner:
             assert planner.stdout is not None
@@ -134,7 +135,7 @@ def wrong_checksum() -> bytes:
     ids=["garbage", "wrong checksum", "oversize", "unknown type"],
 )
 def test_damaged_stream_vents_and_is_told(garbage: bytes, cause: str) -> None:
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         with controller(board) as client:
             start_motion(board, client)
             client._link.sendall(garbage)
@@ -145,14 +146,14 @@ def test_damaged_stream_vents_and_is_told(garbage: bytes, cause: str) -> None:
 
 
 def test_truncated_frame_vents_when_the_rest_does_not_come() -> None:
-    with running_board() as board, controller(board) as client:
+    with running_board(watchdog=0.1) as board, controller(board) as client:
         client._link.sendall(encode_frame(command(board.clock()), 9_000, 0)[:-1])
         assert latched(board, "nothing heard")
 
 
 @pytest.mark.parametrize("fault", ["not finite", "5 MPa", "another clock"])
 def test_bad_command_is_refused_with_the_reason_and_the_motion_goes_on(fault: str) -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
         client.command(bad_command(board.clock(), fault))
         assert client.wait(lambda: bool(client.refusals), PATIENCE)
@@ -161,7 +162,7 @@ def test_bad_command_is_refused_with_the_reason_and_the_motion_goes_on(fault: st
 
 
 def test_old_frame_is_refused() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
         client._link.sendall(encode_frame(command(board.clock(), 2, 1e5), 0, 0))
         assert client.wait(lambda: bool(client.refusals), PATIENCE)
@@ -171,14 +172,14 @@ def test_old_frame_is_refused() -> None:
 
 @pytest.mark.parametrize("jump", [3_600_000_000, -1_000_000])
 def test_jump_of_the_clock_vents(jump: int) -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
         board.jump = jump
         assert latched(board, "")
 
 
 def test_client_notices_that_the_clock_of_the_board_jumped() -> None:
-    with running_board(**PATIENT) as board, controller(board, armed=False) as client:
+    with running_board() as board, controller(board, armed=False) as client:
         client.synchronise()
         assert client.jumped < 1000
         board.jump = 50_000
@@ -187,7 +188,7 @@ def test_client_notices_that_the_clock_of_the_board_jumped() -> None:
 
 
 def test_offset_of_the_clocks_is_within_its_uncertainty() -> None:
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         board.jump = 7_000_000_000
         with controller(board, armed=False) as client:
             client.synchronise()
@@ -195,20 +196,20 @@ def test_offset_of_the_clocks_is_within_its_uncertainty() -> None:
 
 
 def test_second_controller_is_refused_and_the_first_goes_on() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         with pytest.raises(BackendError, match="one at a time"):
-            BoardClient(board.address, ClientRole.CONTROLLER, "second")
+            BoardClient(board.address, ClientRole.CONTROLLER, "second", PATIENCE)
         start_motion(board, client)
 
 
 def test_restarted_board_is_found_again_and_is_vented() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
         board.stop()
         assert board.valves.pressure == VENTED
         with pytest.raises(LinkLostError, match="is lost"):
             client.wait(lambda: False, PATIENCE)
-        with running_board(board.address, **PATIENT) as again, controller(again, armed=False) as anew:
+        with running_board(board.address) as again, controller(again, armed=False) as anew:
             assert anew.welcome.state_at_welcome == BoardState.VENTED
             anew.command(command(again.clock()))
             assert anew.wait(lambda: bool(anew.refusals), PATIENCE)
@@ -220,12 +221,19 @@ def test_client_waits_for_a_board_that_starts_later() -> None:
         address = reserved.getsockname()[:2]
     with pytest.raises(BackendError, match="no valve board answers"):
         BoardClient(address, ClientRole.CONTROLLER, "early", patience=0.2)
-    with running_board(address, **PATIENT) as board, controller(board, armed=False, patience=PATIENCE) as client:
+    with running_board(address) as board, controller(board, armed=False) as client:
         assert client.welcome.board_robot == "liberobot"
 
 
+def test_client_waits_for_an_answer_as_long_as_it_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        address = mute.getsockname()[:2]
+        with pytest.raises(BackendError, match=r"did not tell anything for 0\.1 s"):
+            BoardClient(address, ClientRole.OPERATOR, "patient", patience=0.1)
+
+
 def test_stopped_board_vents() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
         board.stop()
         assert board.valves.pressure == VENTED
@@ -233,7 +241,7 @@ def test_stopped_board_vents() -> None:
 
 
 def test_controller_cannot_arm_itself() -> None:
-    with running_board(**PATIENT) as board, controller(board, armed=False) as client:
+    with running_board() as board, controller(board, armed=False) as client:
         client.arm(client.welcome.controller_session, "itself")
         assert client.wait(lambda: bool(client.refusals), PATIENCE)
         assert client.refusals[0].refusal_code == "role"
@@ -241,7 +249,7 @@ def test_controller_cannot_arm_itself() -> None:
 
 
 def test_arming_that_was_asked_for_an_earlier_connection_is_refused() -> None:
-    with running_board(**PATIENT) as board:
+    with running_board() as board:
         with controller(board, armed=False) as first:
             session = first.welcome.controller_session
         assert eventually(lambda: board.server.board.session == 0)
@@ -252,8 +260,8 @@ def test_arming_that_was_asked_for_an_earlier_connection_is_refused() -> None:
 
 
 def test_operator_cannot_command() -> None:
-    with running_board(**PATIENT) as board, controller(board):
-        operator = BoardClient(board.address, ClientRole.OPERATOR, "person")
+    with running_board() as board, controller(board):
+        operator = BoardClient(board.address, ClientRole.OPERATOR, "person", PATIENCE)
         operator.command(command(board.clock()))
         assert operator.wait(lambda: bool(operator.refusals), PATIENCE)
         assert operator.refusals[0].refusal_code == "role"
@@ -261,9 +269,9 @@ def test_operator_cannot_command() -> None:
 
 
 def test_anyone_may_disarm() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client:
+    with running_board() as board, controller(board) as client:
         start_motion(board, client)
-        operator = BoardClient(board.address, ClientRole.OPERATOR, "person")
+        operator = BoardClient(board.address, ClientRole.OPERATOR, "person", PATIENCE)
         operator.disarm("person")
         assert eventually(lambda: board.state == "VENTED")
         assert board.valves.pressure == VENTED
@@ -294,14 +302,14 @@ def test_handshake_that_does_not_fit_is_refused_with_the_reason(fault: str, monk
     }
     with running_board() as board:
         with pytest.raises(BackendError, match=complaint[fault]):
-            BoardClient(board.address, ClientRole.CONTROLLER, "test")
+            BoardClient(board.address, ClientRole.CONTROLLER, "test", PATIENCE)
         monkeypatch.undo()
         assert still_serves(board)
 
 
 def test_controller_that_does_not_read_is_dropped_with_bounded_memory() -> None:
-    with running_board(watchdog=1.0, silence=60.0) as board:
-        deaf = BoardClient(board.address, ClientRole.CONTROLLER, "deaf")
+    with running_board() as board:
+        deaf = BoardClient(board.address, ClientRole.CONTROLLER, "deaf", PATIENCE)
         deaf._link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         largest = [0]
 
@@ -316,7 +324,7 @@ def test_controller_that_does_not_read_is_dropped_with_bounded_memory() -> None:
 
 
 def test_many_connections_leave_the_controller_alone() -> None:
-    with running_board(**PATIENT) as board, controller(board) as client, contextlib.ExitStack() as crowd:
+    with running_board() as board, controller(board) as client, contextlib.ExitStack() as crowd:
         for _ in range(40):
             crowd.enter_context(socket.create_connection(board.address))
             client.ask_time()
@@ -324,7 +332,7 @@ def test_many_connections_leave_the_controller_alone() -> None:
 
 
 def test_trial_is_told_to_the_board() -> None:
-    with running_board(**PATIENT) as board, controller(board, armed=False) as client:
+    with running_board() as board, controller(board, armed=False) as client:
         client.announce("hit", 3, 1)
         assert eventually(lambda: "hit trial 3, seed 1" in board.said)
         assert board.trials[0].announced_index == 3

@@ -85,7 +85,7 @@ def test_anyone_may_vent(secret: Path) -> None:
 
 
 def test_programs_name_the_file(secret: Path) -> None:
-    with running_board(secret=secret, **PATIENT) as board, controller(board, armed=False, secret=SECRET):
+    with running_board(secret=secret) as board, controller(board, armed=False, secret=SECRET):
         where = f"{board.address[0]}:{board.address[1]}"
         refused = CliRunner().invoke(app, ["arm", where], input="arm\n")
         assert "does not know the secret of this board; name the same file" in str(refused.exception)
@@ -97,7 +97,7 @@ def test_programs_name_the_file(secret: Path) -> None:
 
 def test_client_without_the_secret_is_told_in_one_line(secret: Path) -> None:
     with (
-        running_board(secret=secret, **PATIENT) as board,
+        running_board(secret=secret) as board,
         pytest.raises(BackendError, match=r"does not know the secret of this board; [^\n]*$"),
     ):
         BoardClient(board.address, ClientRole.CONTROLLER, "test", PATIENCE)

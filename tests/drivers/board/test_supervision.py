@@ -58,8 +58,8 @@ def test_signal_ends_the_board_vented(name: str, tmp_path: Path) -> None:
     """It holds pressure; the last state that it tells shows that it has let go of it."""
     (tmp_path / "board.yaml").write_text("name: arm\nchannels: [{name: a}]\nwatchdog: 1.0\nrise_limit: 0.0\n")
     with board_program(str(tmp_path / "board.yaml")) as (program, port):
-        client = BoardClient(("127.0.0.1", port), ClientRole.CONTROLLER, "test")
-        operator = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test")
+        client = BoardClient(("127.0.0.1", port), ClientRole.CONTROLLER, "test", PATIENCE)
+        operator = BoardClient(("127.0.0.1", port), ClientRole.OPERATOR, "test", PATIENCE)
         with contextlib.closing(client), contextlib.closing(operator):
             client.synchronise()
             operator.arm(client.welcome.controller_session, "test")

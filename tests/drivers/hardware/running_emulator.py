@@ -16,6 +16,7 @@ from imolo_drivers.natnet.config import NatNetServerConfig
 
 PATIENCE = 20.0  # [s]
 PATIENT = {
+    "patience": PATIENCE,
     "camera_patience": 5.0,
     "board_silence": 5.0,
     "clock_jump": 1.0,

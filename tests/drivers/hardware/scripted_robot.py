@@ -152,7 +152,8 @@ def scripted_robot(
 
 def config(robot: Any, **options: Any) -> ExperimentConfig:
     """Return a config of the hardware on the ports of a scripted robot, with patience for a busy machine."""
-    patience = {"board_silence": PATIENCE, "camera_patience": PATIENCE, "exposures": {"oldest": PATIENCE}}
+    patience: dict[str, Any] = dict.fromkeys(("patience", "board_silence", "camera_patience"), PATIENCE)
+    patience["exposures"] = {"oldest": PATIENCE}
     host, port = robot.server.address
     cameras = {"command_port": robot.motive.port, **options.pop("cameras", {})}
     settings = {"name": "hardware", "board": f"{host}:{port}", "cameras": cameras, **patience, **options}
