@@ -14,10 +14,12 @@ LCM = $$($(BIN)/python -c 'import lcm, pathlib; print(pathlib.Path(lcm.__file__)
 # `imolo view` and `imolo export`: half a gigabyte that the demo does without.
 VIEWERS := .venv/.viewers
 
-.PHONY: help demo ode test test-slow docs mutations lint bench pages messages headers c-planner clean
+.PHONY: help setup demo ode test test-slow docs mutations lint bench pages messages headers c-planner clean
 
 help: ## List what can be made.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
+
+setup: $(READY) ## Set up everything in .venv.
 
 demo: $(READY) ## Compare the three engines: learn, throw 20 balls, hit them.
 	$(BIN)/imolo compare configs/mujoco.yaml configs/pybullet.yaml configs/dart.yaml --out results/demo --fresh

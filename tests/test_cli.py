@@ -62,6 +62,14 @@ def test_help_names_every_command_in_its_group_with_one_whole_line(run: Run) -> 
     assert {title: tuple(found[title][: len(names)]) for title, names in GROUPS.items()} == GROUPS
 
 
+def test_commands_of_a_command_have_one_whole_line_each(run: Run) -> None:
+    for name in [name for name, command in COMMANDS.commands.items() if hasattr(command, "commands")]:
+        _, output, _ = run(name, "--help")
+        lines = [line.strip() for line in output.partition("\nCommands:\n")[2].splitlines()]
+        assert [line.split()[0] for line in lines] == list(COMMANDS.commands[name].commands)
+        assert all(line.endswith(".") and not line.endswith("..") for line in lines)
+
+
 def test_one_thing_has_one_name_over_all_commands() -> None:
     names: dict[str, set[str]] = {}
     for command, parameter in parameters():

@@ -34,7 +34,7 @@ from imolo.view.sessions import recorded_sessions
 from imolo.view.viewer import write_html
 
 sys.path.insert(0, str(Path(__file__).parent))
-from screens import picture_of_page, picture_of_spy, picture_of_view
+from screens import moving_picture, picture_of_page, picture_of_spy, picture_of_view
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -119,6 +119,12 @@ def draw_report(folder: Path, out: Path) -> None:
     with TemporaryDirectory() as temporary:
         page = write_report(folder, Path(temporary) / "report.html").path
         picture_of_page(page, out, width=1280, height=1480)
+
+
+def draw_hit(folder: Path, out: Path) -> None:
+    """Draw the ball that the report's player begins with, as it moves."""
+    with TemporaryDirectory() as temporary:
+        moving_picture(write_report(folder, Path(temporary) / "report.html").path, out)
 
 
 def draw_view(folder: Path, out: Path) -> None:
@@ -208,21 +214,21 @@ def _spread(size: Statistic, balls: int = 0) -> str:
     return f"{text} ({size.count})" if 2 * size.count < balls else text
 
 
-def section_tables(file: str) -> Callable[[Path], Mapping[str, Table]]:
-    """Return what makes the tables that the report shows of a study."""
+def study_page(name: str, file: str, picture: str = "", figure: str = "") -> Page:
+    """Return what is shown of a study: the tables that the report has of it, and its figure."""
     (section,) = (one for one in SECTIONS if one.file == file)
 
     def tables(folder: Path) -> Mapping[str, Table]:
         grids: Sequence[object] = section.prepare(folder / file)["grids"]
         return {
-            f"{section.anchor}-{number}": Table(
-                columns=[" ".join(str(name).split()) for name in grid.columns],
+            f"{name}-{number}": Table(
+                columns=[" ".join(str(title).split()) for title in grid.columns],
                 rows=[[str(cell) for cell in row] for row in grid.rows],
             )
             for number, grid in enumerate(grids, start=1)
         }
 
-    return tables
+    return Page(file, {picture or f"{name}.png": copied(figure or f"figures/{name}.png")}, tables)
 
 
 PAGES = {
@@ -234,6 +240,7 @@ PAGES = {
                 for name in ("trajectories", "reach", "hit_rates", "pressures")
             },
             "report.png": draw_report,
+            "hit.gif": draw_hit,
             "view.png": draw_view,
             "plot.png": draw_plot,
             "divergence.png": draw_diff,
@@ -242,22 +249,12 @@ PAGES = {
         comparison_table,
         draw_figures,
     ),
-    "ball": Page("ball.json", {"ball_prediction.png": copied("ball.png")}, section_tables("ball.json")),
-    "interpolation": Page(
-        "interpolation.json",
-        {"interpolation.png": copied("figures/interpolation.png")},
-        section_tables("interpolation.json"),
-    ),
-    "transfer": Page(
-        "transfer.json", {"transfer.png": copied("figures/transfer.png")}, section_tables("transfer.json")
-    ),
-    "trials": Page("trials.json", {"trials.png": copied("figures/trials.png")}, section_tables("trials.json")),
-    "waterfall": Page(
-        "attribution.json", {"waterfall.png": copied("figures/waterfall.png")}, section_tables("attribution.json")
-    ),
-    "waterfall_ode": Page(
-        "attribution.json", {"waterfall_ode.png": copied("figures/waterfall.png")}, section_tables("attribution.json")
-    ),
+    "ball": study_page("ball", "ball.json", "ball_prediction.png", "ball.png"),
+    "interpolation": study_page("interpolation", "interpolation.json"),
+    "transfer": study_page("transfer", "transfer.json"),
+    "trials": study_page("trials", "trials.json"),
+    "waterfall": study_page("waterfall", "attribution.json"),
+    "waterfall_ode": study_page("waterfall_ode", "attribution.json", figure="figures/waterfall.png"),
 }
 
 

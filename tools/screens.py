@@ -9,6 +9,7 @@ import time
 import urllib.request
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,6 +34,24 @@ CHROMIUM = (
 )
 PATIENCE = 120.0  # [s]
 SPY_SCREEN = "1240x700x24"
+
+GIF_SIZE = (540, 360)  # [px]
+GIF_COLORS = 96
+GIF_STEP = 0.015  # [s] of the trial from frame to frame
+GIF_SHOWN = 60  # [ms] each; a quarter of real time
+GIF_LAST_SHOWN = 1500  # [ms]
+# Painted and read in one go, since WebGL's picture is gone once the page is shown.
+GIF_FRAMES = """(() => {
+  const style = "<style>#canvas { width: %dpx !important; height: %dpx !important; }</style>";
+  document.head.insertAdjacentHTML("beforeend", style);
+  const frames = [], events = player.motion(player.chosen).event;
+  for (let time = events.throw; time < Math.min(player.duration, events.touch + 0.15); time += %f) {
+    player.seek(time);
+    player.paint();
+    frames.push(player.canvas.toDataURL("image/png").split(",")[1]);
+  }
+  return frames;
+})()"""
 
 Call = Callable[..., Awaitable[Any]]
 
@@ -64,6 +83,12 @@ class Browser:
             if time.monotonic() > end:
                 raise TimeoutError(f"{script} was not true in {PATIENCE:g} s")
             await asyncio.sleep(0.2)
+
+    async def open(self, page: Path) -> None:
+        """Go to a page, and wait until it is there."""
+        address = page.resolve().as_uri()
+        await self.call("Page.navigate", url=address)
+        await self.until(f"document.readyState === 'complete' && location.href === {json.dumps(address)}")
 
     async def click(self, x: float, y: float) -> None:
         """Press and release the mouse there [px]."""
@@ -102,8 +127,7 @@ def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitab
                 mobile=width < 500,
             )
             await call("Emulation.setScrollbarsHidden", hidden=True)
-            await call("Page.navigate", url=page.resolve().as_uri())
-            await browser.until("document.readyState === 'complete' && location.protocol === 'file:'")
+            await browser.open(page)
             return await act(browser)
 
     with _chromium() as address:
@@ -137,6 +161,23 @@ def picture_of_page(page: Path, out: Path, width: int, height: int) -> None:
         await browser.picture(out)
 
     browse(page, width, height, act)
+
+
+def moving_picture(page: Path, out: Path) -> None:
+    """Write the ball that a report's player begins with as a GIF, which plays once (WCAG 2.2.2)."""
+
+    async def act(browser: Browser) -> Any:
+        return await browser.run(GIF_FRAMES % (*GIF_SIZE, GIF_STEP))
+
+    frames = [
+        Image.open(BytesIO(base64.b64decode(frame))).convert("RGB").resize(GIF_SIZE)
+        for frame in browse(page, 1200, 900, act)
+    ]
+    # One palette for all: what does not move is then the same in each frame and costs nothing.
+    palette = frames[-1].quantize(GIF_COLORS)
+    first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    shown = [GIF_SHOWN] * len(others) + [GIF_LAST_SHOWN]
+    first.save(out, save_all=True, append_images=others, duration=shown, optimize=True)
 
 
 def picture_of_view(page: Path, out: Path, width: int, height: int, share: float) -> None:

@@ -3,6 +3,7 @@
 An engine has the same colour, marker and line everywhere, and nothing that is no engine has its colour.
 """
 
+import math
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -38,6 +39,8 @@ ENGINES = {
 GUEST_COLORS = ("#332288", "#882255", "#999933", "#AA4499", "#661100", "#117733")
 GUEST_MARKERS = ("X", "<", ">", "p")
 GUEST_LINES = ((0, (8, 2)), (0, (3, 1, 1, 1)), (0, (6, 2, 1, 2)), (0, (2, 3)))
+
+SHOWN_UNITS = {"rad": ("°", math.degrees(1.0)), "m": ("mm", 1e3), "Pa": ("kPa", 1e-3)}
 
 SHAPES = {
     "o": "circle(50%)",
@@ -121,6 +124,11 @@ def appearances(engines: Sequence[str]) -> list[Appearance]:
 def swatch(look: Appearance) -> str:
     """Return colour and marker of an engine as the style of an HTML element."""
     return f"background:{look.color};clip-path:{SHAPES[look.marker]}"
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Return the unit that a figure shows in place of this one, and the factor to it."""
+    return SHOWN_UNITS.get(unit, (unit, 1.0))
 
 
 def element_colors(count: int) -> list[str]:

@@ -20,6 +20,7 @@ from imolo.campaigns.appearance import (
     Appearance,
     Fill,
     engine_appearance,
+    shown_unit,
 )
 from imolo.campaigns.campaign import hit_tasks, learning_tasks
 from imolo.campaigns.comparison import Comparison
@@ -39,7 +40,6 @@ from imolo.trials.recordings import SHOWN, last_plan, marker_track
 Array = NDArray[np.float64]
 
 HIT_COLOR, MISS_COLOR = INK, FAINT
-PASCALS = 1e-3  # to kPa
 
 
 def draw_all(comparison: Comparison, configs: Sequence[ExperimentConfig], folder: ResultsFolder) -> list[Path]:
@@ -123,19 +123,21 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
         measured, gaps = grid[:: len(heights)].ravel().tolist(), grid[1::2].ravel().tolist()
         for axes in (*measured[len(valves) :], *gaps[len(valves) :]):
             axes.set_axis_off()
+        units = [shown_unit(channel.unit)[0] for channel in valves]
         theirs = {name: _measured(config, folder) for name, config in named.items()}
         _draw_measured(measured, valves, reference, *theirs[reference])
         for name, _ in others:
             _draw_gaps(gaps, valves, name, theirs[reference], theirs[name])
-        _share_limits(measured[: len(valves)])
-        _share_limits(gaps[: len(valves)])
+        for unit in set(units):
+            _share_limits([axes for axes, own in zip(measured, units, strict=False) if own == unit])
+            _share_limits([axes for axes, own in zip(gaps, units, strict=False) if own == unit])
         for axes in grid[-1]:
             axes.set_xlabel("time since onset [s]")
-        unit = "kPa" if valves[0].unit == "Pa" else valves[0].unit
-        for number in range(0, len(valves), columns):
-            measured[number].set_ylabel(f"{reference} [{unit}]")
-            if others:
-                gaps[number].set_ylabel(f"others less\n{reference} [{unit}]")
+        for number, unit in enumerate(units):
+            if number % columns == 0 or unit != units[number - 1]:
+                measured[number].set_ylabel(f"{reference} [{unit}]")
+                if others:
+                    gaps[number].set_ylabel(f"others less\n{reference} [{unit}]")
         lines = [
             line for axes in (measured[0], *gaps[:1]) for line in axes.lines if not line.get_label().startswith("_")
         ]
@@ -147,7 +149,7 @@ def draw_pressures(named: dict[str, ExperimentConfig], folder: ResultsFolder) ->
 def _measured(config: ExperimentConfig, folder: ResultsFolder) -> tuple[Array, Array, Array]:
     """Return time since the onset [s], shape (N,), and what was measured and asked for, shape (N, channels)."""
     valves = config.simulation.actuators.channels
-    scale = PASCALS if valves[0].unit == "Pa" else 1.0
+    scale = np.array([shown_unit(channel.unit)[1] for channel in valves])
     log = read_log(learning_tasks(config, folder.learning(config.backend.name))[-1].log_path)
     commands = Commands.from_message(log.messages[channels.ACTUATOR_COMMAND][-1], valves)
     messages = log.messages[channels.ACTUATOR_STATE]

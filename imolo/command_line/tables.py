@@ -1,10 +1,31 @@
 """Tables that fit the terminal: text wraps, columns are left out where there is no room, and no number is cut."""
 
-from rich.console import Console, Group, RenderableType
+from collections.abc import Iterator
+from dataclasses import dataclass
+from textwrap import shorten
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.measure import Measurement, measure_renderables
 from rich.table import Column, Table
+from rich.text import Text
 
 UNBOUNDED = 100_000  # [characters]
+
+
+@dataclass(frozen=True)
+class WholeWords:
+    """A text of which a line shows as many words as it has room for, so that no number is cut."""
+
+    text: str
+    style: str = ""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        """Yield the words that there is room for."""
+        yield Text(shorten(self.text, options.max_width, break_on_hyphens=False, placeholder=" …"), self.style)
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """Return how narrow and how wide it may be."""
+        return Measurement(0, min(len(self.text), options.max_width))
 
 
 def fit(renderable: RenderableType, console: Console) -> RenderableType:

@@ -12,6 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from imolo.command_line.tables import WholeWords
 from imolo.conformance.check import Outcome, Verdict
 from imolo.conformance.record import Record, worst
 
@@ -97,11 +98,11 @@ def _by_scene(record: Record) -> dict[tuple[str, str], list[Outcome]]:
     return found
 
 
-def _cells(outcome: Outcome) -> tuple[str | Text, ...]:
+def _cells(outcome: Outcome) -> tuple[RenderableType, ...]:
     measured = outcome.measurement
     if measured is None:
         return (
-            Text(outcome.remark, style=COLOURS[outcome.verdict], overflow="ellipsis", no_wrap=True),
+            WholeWords(outcome.remark, COLOURS[outcome.verdict]),
             "",
             "",
             "",

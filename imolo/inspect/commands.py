@@ -47,7 +47,7 @@ def top(
     from imolo.inspect.top import log_table, watch
 
     if log is not None:
-        console.print(log_table(log, console.width, trial))
+        show(log_table(log, console.width, trial))
         return
     watch(bus, console, seconds)
 

@@ -1,5 +1,6 @@
 """How two runs go apart over time: joint angles, hand, ball and pressures."""
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imolo.campaigns.appearance import FAINT, INK, STYLE, element_colors
+from imolo.campaigns.appearance import FAINT, INK, STYLE, element_colors, shown_unit
 from imolo.command_line.terminal import plain
 from imolo.errors import FieldError
 from imolo.inspect.diff import Difference
@@ -18,20 +19,19 @@ from imolo.inspect.series import Array, Series, read_series, samples
 
 
 class Panel(NamedTuple):
-    """One of the axes; `length` says whether the length of the difference is drawn in place of its elements."""
+    """One of the axes, or one for each unit of its elements where it is not the length of the difference."""
 
     title: str
     field: str
-    factor: float  # to the unit shown
-    unit: str
     length: bool
+    titles: Mapping[str, str] = {}  # of elements with this unit
 
 
 PANELS = (
-    Panel("joint angles", "TRUTH_ROBOT.joint_angle", float(np.degrees(1.0)), "°", False),
-    Panel("hand", "TRUTH_ROBOT.effector_position", 1e3, "mm", True),
-    Panel("ball", "TRUTH_BALL.true_ball_position", 1e3, "mm", True),
-    Panel("pressures", "ACTUATOR_STATE.measured", 1e-3, "kPa", False),
+    Panel("joints", "TRUTH_ROBOT.joint_angle", False, {"rad": "joint angles", "m": "ways of joints"}),
+    Panel("hand", "TRUTH_ROBOT.effector_position", True),
+    Panel("ball", "TRUTH_BALL.true_ball_position", True),
+    Panel("actuators", "ACTUATOR_STATE.measured", False, {"Pa": "pressures"}),
 )
 PLANNED = "PLAN.effector"
 HAND = 1  # of the panels
@@ -63,8 +63,9 @@ def draw_divergence(
     if all(gap is None for gap in gaps):
         raise FieldError(f"{first} and {second} have no simulated state and no pressures to compare")
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 8), layout="constrained")
-        for axes, panel, gap in zip(figure.subplots(len(PANELS), 1, sharex=True), PANELS, gaps, strict=True):
+        panels = [pair for panel, gap in zip(PANELS, gaps, strict=True) for pair in _by_unit(panel, gap)]
+        figure = Figure(figsize=(9, 2 * len(panels)), layout="constrained")
+        for axes, (panel, gap) in zip(figure.subplots(len(panels), 1, sharex=True), panels, strict=True):
             _draw_gap(axes, panel, gap)
             axes.set_title(hand if panel is PANELS[HAND] else panel.title, loc="left")
             if gap is not None and parting is not None:
@@ -86,15 +87,30 @@ def _that_hits(gap: Series | None, planned: Series) -> tuple[str, Series | None]
     name = known[chosen[0]] if chosen and chosen[0] < len(known) else known[0]
     own = [column for column, other in enumerate(names) if other == name]
     shown = name.replace("_", " ") if not name.isdigit() else f"effector {name}"
-    return shown, Series(gap.time, gap.values[:, own], tuple(gap.labels[column] for column in own))
+    return shown, _columns(gap, own)
+
+
+def _columns(gap: Series, chosen: Sequence[int]) -> Series:
+    labels, units = ([found[column] for column in chosen] for found in (gap.labels, gap.units))
+    return Series(gap.time, gap.values[:, chosen], tuple(labels), tuple(units))
+
+
+def _by_unit(panel: Panel, gap: Series | None) -> Iterator[tuple[Panel, Series | None]]:
+    if gap is None or panel.length:
+        yield panel, gap
+        return
+    for unit in dict.fromkeys(gap.units):
+        own = [column for column, other in enumerate(gap.units) if other == unit]
+        yield panel._replace(title=panel.titles.get(unit, panel.title)), _columns(gap, own)
 
 
 def _draw_gap(axes: Axes, panel: Panel, gap: Series | None) -> None:
-    axes.set_ylabel(f"difference [{panel.unit}]")
     if gap is None:
         axes.text(0.5, 0.5, "not in both logs", transform=axes.transAxes, ha="center", color=FAINT)
         return
-    values = panel.factor * (np.linalg.norm(gap.values, axis=1, keepdims=True) if panel.length else gap.values)
+    unit, factor = shown_unit(gap.unit)
+    axes.set_ylabel(f"difference [{unit}]" if unit else "difference")
+    values = factor * (np.linalg.norm(gap.values, axis=1, keepdims=True) if panel.length else gap.values)
     least = logarithmic_from(np.abs(values))
     if least is not None:
         values = np.abs(values)
@@ -156,4 +172,5 @@ def difference_over_time(first: Series, second: Series) -> Series | None:
         - first.values[common, first.labels.index(label)]
         for label in labels
     ]
-    return Series(time, np.column_stack(gaps), labels)
+    units = dict(zip(first.labels, first.units, strict=False))
+    return Series(time, np.column_stack(gaps), labels, tuple(units.get(label, "") for label in labels))

@@ -55,7 +55,7 @@ def leaf_unit(channel: str, path: Path, names: Names = INDICES) -> str:
         if isinstance(step, str):
             unit, last = field_units().get((kind.__name__, step), ""), number
             kind = _nested_type(kind.__typenames__[kind.__slots__.index(step)])
-    steps = [step for step in path[last + 1 :] if isinstance(step, int)]
+    steps = tuple(step for step in path[last + 1 :] if isinstance(step, int))
     return unit or names.unit(channel, str(path[last]), steps)
 
 
@@ -67,18 +67,11 @@ class Selector:
         text: As the user wrote it.
         channel: Name of the channel.
         steps: Names, indices and slices that lead from the message to the numbers.
-        unit: From the comment of the .lcm file; empty if unknown.
     """
 
     text: str
     channel: str
     steps: tuple[str | int | slice, ...]
-    unit: str
-
-    def unit_in(self, names: Names) -> str:
-        """Return the unit of the .lcm file or, where that has none, the one that a log's robot says."""
-        last = max(number for number, step in enumerate(self.steps) if isinstance(step, str))
-        return self.unit or names.unit(self.channel, str(self.steps[last]), self.steps[last + 1 :])
 
 
 def parse_selector(text: str) -> Selector:
@@ -104,14 +97,14 @@ def parse_selector(text: str) -> Selector:
         else:
             steps.append(token["name"] if token["name"] is not None else int(token["index"]))
         position = token.end()
-    return Selector(text, channel, tuple(steps), _check(text, channel, steps))
+    _check(text, channel, steps)
+    return Selector(text, channel, tuple(steps))
 
 
-def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> str:
-    """Follow the steps through the types; return the unit."""
+def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> None:
+    """Follow the steps through the types."""
     kind: Any = CHANNELS[channel].message_type
     open_sides: list[Any] = []
-    unit = ""
     for step in steps:
         if isinstance(step, str):
             if not hasattr(kind, "__slots__") or any(True for _ in open_sides):
@@ -122,7 +115,6 @@ def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> str:
                     f"fields: {', '.join(kind.__slots__)}"
                 )
             field = kind.__slots__.index(step)
-            unit = field_units().get((kind.__name__, step), "")
             open_sides = list(kind.__dimensions__[field] or ())
             type_name = kind.__typenames__[field]
             kind = _nested_type(type_name)
@@ -136,7 +128,6 @@ def _check(text: str, channel: str, steps: Sequence[str | int | slice]) -> str:
         raise FieldError(f"{text!r} names no field; fields: {', '.join(kind.__slots__)}")
     if kind == "string":
         raise FieldError(f"{text!r} holds text, not numbers")
-    return unit
 
 
 def _nested_type(type_name: str) -> Any:

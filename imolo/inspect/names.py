@@ -1,6 +1,5 @@
 """Names and units of the elements of messages, as the robot of a log says them: "right knee" instead of [1]."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,21 +63,18 @@ class Names:
         ]
         return "".join(f"[{part}]" for part in parts)
 
-    def unit(self, channel: str, field: str, steps: Sequence[object] = ()) -> str:
-        """Return the unit that the selected elements of a field have in common, as the robot says it; else "".
+    def unit(self, channel: str, field: str, index: tuple[int, ...]) -> str:
+        """Return the unit of an element of a field, as the robot says it; empty where it says none.
 
         Args:
             channel: Of the message.
             field: Name of the array.
-            steps: Indices and slices that select elements of it.
+            index: One number for each dimension of the array.
         """
         named, _, units, suffix = NAMED.get((channel, field), (-1, "", "", ""))
-        known = list(getattr(self.robot, units, ())) if self.robot is not None and units else []
-        step = steps[named] if 0 <= named < len(steps) else slice(None)
-        if isinstance(step, int):
-            step = slice(step, step + 1 or None)
-        chosen = set(known[step]) if isinstance(step, slice) else set()
-        return chosen.pop() + suffix if len(chosen) == 1 else ""
+        known = getattr(self.robot, units, ()) if self.robot is not None else ()
+        number = index[named] if 0 <= named < len(index) else len(known)
+        return known[number] + suffix if -len(known) <= number < len(known) else ""
 
 
 INDICES = Names()

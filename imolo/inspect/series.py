@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from imolo.errors import FieldError
 from imolo.inspect import fields
-from imolo.inspect.fields import Selector, leaf_name, selected
+from imolo.inspect.fields import Selector, leaf_name, leaf_unit, selected
 from imolo.inspect.names import Names
 from imolo.inspect.trials import Heard, Timeline, TrialEvents
 from imolo.messaging.channels import CHANNELS, TRIAL
@@ -29,15 +29,20 @@ class Series:
         time: Time of the messages since the start of the first trial [s], shape (N,).
         values: Shape (N, K); NaN where a message has no such element, and between two trials.
         labels: What each of the K columns is.
-        unit: Of all values; empty where it is not known.
+        units: Of each of the columns; empty where it is not known.
         backend: Whose run it is; empty where the log does not say it.
     """
 
     time: Array
     values: Array
     labels: tuple[str, ...]
-    unit: str = ""
+    units: tuple[str, ...] = ()
     backend: str = ""
+
+    @property
+    def unit(self) -> str:
+        """The unit that all columns have in common; empty where they have none."""
+        return self.units[0] if len(set(self.units)) == 1 else ""
 
 
 def envelope(rows: Array) -> Array:
@@ -123,7 +128,8 @@ class _Collector:
         rows = self._array([*self._rows, *self._bucket]).reshape(-1, len(self._columns) + 1)
         channel = self._selector.channel
         labels = tuple(f"{channel}.{leaf_name(channel, path, names)}" for path in self._columns)
-        return Series((rows[:, 0] - origin) * 1e-6, rows[:, 1:], labels, self._selector.unit_in(names))
+        units = tuple(leaf_unit(channel, path, names) for path in self._columns)
+        return Series((rows[:, 0] - origin) * 1e-6, rows[:, 1:], labels, units)
 
     def _keep(self, row: list[float]) -> None:
         self._bucket.append(row)

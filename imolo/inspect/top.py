@@ -4,11 +4,12 @@ import time
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from imolo.command_line.tables import WholeWords, fit
 from imolo.command_line.terminal import plain
 from imolo.inspect.statistics import BusStatistics, ChannelStatistics
 from imolo.inspect.trials import TrialEvents
@@ -78,38 +79,43 @@ def watch(url: str, console: Console, seconds: float | None = None) -> None:
     clock = time.monotonic
     bus.subscribe_raw(lambda channel, data: statistics.add(channel, data, clock()))
     end = None if seconds is None else clock() + seconds
-    with Live(live_table(statistics, url, clock(), console.width), console=console, auto_refresh=False) as live:
+
+    def picture() -> RenderableType:
+        return fit(live_table(statistics, url, clock(), console.width), console)
+
+    with Live(picture(), console=console, auto_refresh=False) as live:
         while end is None or clock() < end:
-            picture = clock() + REFRESH
-            while (left := picture - clock()) > 0.0:
+            due = clock() + REFRESH
+            while (left := due - clock()) > 0.0:
                 bus.wait(left)
-            live.update(live_table(statistics, url, clock(), console.width), refresh=True)
+            live.update(picture(), refresh=True)
 
 
 def _empty_table(title: str, age: str, width: int) -> Table:
     table = Table(title=escape(plain(title)), title_justify="left", box=box.SIMPLE_HEAD, padding=0, expand=True)
-    table.add_column("channel", no_wrap=True, overflow="ellipsis", max_width=CHANNEL_WIDTH)
+    table.add_column("channel", no_wrap=True)
     if width >= WIDE:
         table.add_column("type", no_wrap=True)
     for column in ("count", "rate\nHz", f"{age}\ns", "jitter\nms", "missing"):
         table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("last values", no_wrap=True, overflow="ellipsis", ratio=1)
+    table.add_column("last values", ratio=1)
     return table
 
 
 def _add_row(table: Table, channel: ChannelStatistics, rate: float, age: float, width: int, style: str = "") -> None:
     known = CHANNELS.get(channel.channel)
+    name = plain(channel.channel)
     kind = "?" if known is None else known.message_type.__name__
     broken = f"({channel.undecoded} not decoded) " if channel.undecoded else ""
     missing = "-" if channel.missing is None else str(channel.missing)
     table.add_row(
-        escape(plain(channel.channel)),
+        escape(name if len(name) <= CHANNEL_WIDTH else f"{name[: CHANNEL_WIDTH - 1]}…"),
         *([kind] if width >= WIDE else []),
         str(channel.count),
         f"{rate:.1f}",
         f"{age:.3f}",
         f"{1e3 * channel.jitter:.2f}",
         f"[red]{missing}[/red]" if channel.missing else missing,
-        escape(plain(broken + channel.last_values())),
+        WholeWords(plain(broken + channel.last_values())),
         style=style,
     )

@@ -17,13 +17,19 @@ Folder = Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where to.",
 
 @new.command()
 def robot(name: Name, out: Folder = None) -> None:
-    """Write a robot that runs at once: model, defaults, entry point and test; see docs/adding-a-robot.md."""
+    """Write a robot that runs at once.
+
+    Model, defaults, entry point and test; see docs/adding-a-robot.md.
+    """
     _write("robot", name, out, f"imolo check --robot {name}")
 
 
 @new.command()
 def engine(name: Name, out: Folder = None) -> None:
-    """Write an engine that runs at once: adapter, entry point and test; see docs/adding-an-engine.md."""
+    """Write an engine that runs at once.
+
+    Adapter, entry point and test; see docs/adding-an-engine.md.
+    """
     _write("engine", name, out, f"imolo check {name} --only clock")
 
 

@@ -264,8 +264,9 @@ def test_shipped_configs_differ_in_the_backend_alone() -> None:
 
 
 @pytest.mark.parametrize("name", BACKEND_PARAMS)
-def test_shipped_config_is_the_experiment_of_the_paper(name: str) -> None:
+def test_shipped_config_is_the_experiment_of_the_paper_and_what_the_backends_name_stands_for(name: str) -> None:
     config = load_config(CONFIGS / f"{name}.yaml")
+    assert config == named_config(name)
     assert config.training.motions == TRAINING_MOTIONS
     assert config.campaign.balls == 20
     assert config.campaign.learning_throws == 10

@@ -177,17 +177,26 @@ def test_mcap_brings_robot_config_and_units(recorded: Recorded, run: Run, tmp_pa
     assert {frame["child_frame_id"] for (frame,) in frames} == {body.model.base}
 
 
-def test_layout_for_foxglove_shows_topics_that_an_export_has(recorded: Recorded, run: Run, tmp_path: Path) -> None:
+def test_layout_for_foxglove_shows_what_an_export_has_with_schemas_that_its_panels_take(
+    recorded: Recorded, run: Run, tmp_path: Path
+) -> None:
     _, output, _ = run("export", recorded.first, "--out", tmp_path / "log.mcap")
     layout = json.loads(Path(output.splitlines()[1].partition(": ")[2]).read_text(encoding="utf-8"))
     with (tmp_path / "log.mcap").open("rb") as file:
-        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+        heard = {channel.topic: (schema, message) for schema, channel, message in make_reader(file).iter_messages()}
+    names = {topic: schema.name for topic, (schema, _) in heard.items() if schema is not None}
     panels = layout["configById"]
-    scene = panels["3D!robot"]
-    assert {*scene["topics"], scene["layers"]["robot"]["topic"], scene["layers"]["robot"]["jointStatesTopic"]} <= topics
+    scene, robot = panels["3D!robot"], panels["3D!robot"]["layers"]["robot"]
+    assert {names[topic] for topic in scene["topics"]} == {"foxglove.SceneUpdate"}
+    assert names[robot["topic"]] == "std_msgs/String"
+    assert names[robot["jointStatesTopic"]] == "sensor_msgs/JointState"
     for name, panel in panels.items():
-        for path in [series["value"] for series in panel.get("paths", [])] + [panel.get("topicPath", "TRIAL")]:
-            assert path.partition(".")[0] in topics, name
+        assert panel.get("topicPath", "TRIAL") in heard
+        for series in panel.get("paths", []):
+            topic, _, field = series["value"].partition(".")
+            drawn = json.loads(heard[topic][1].data)[field.removesuffix("[:]")]
+            assert drawn, name
+            assert all(isinstance(number, float) for number in drawn), name
     places = json.dumps(layout["layout"])
     assert all(f'"{name}"' in places for name in panels)
 

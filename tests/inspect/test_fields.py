@@ -10,7 +10,7 @@ from recorded_trials import Recorded, write_events
 from imolo.errors import FieldError
 from imolo.inspect.definitions import definition_files, field_units
 from imolo.inspect.fields import column_name, leaf_name, leaves, parse_selector, selected
-from imolo.inspect.names import INDICES, Names
+from imolo.inspect.names import Names
 from imolo.inspect.series import read_series, samples
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
@@ -22,23 +22,11 @@ from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("TRUTH_ROBOT.joint_angle[0:3]", ""),  # joints turn or slide
         ("TRUTH_BALL.true_ball_velocity[-1]", "m/s"),
         ("MOCAP.markers[0].marker_position[1]", "m"),
-        ("PLAN.theta[1]", ""),  # the robot's
         ("PLAN.predicted_position[:][2]", "m"),
         ("PLAN.answered_frame", ""),
         ("BALL_STATE.covariance[0][0]", ""),
-    ],
-)
-def test_unit_is_that_of_the_comment(text: str, unit: str) -> None:
-    assert parse_selector(text).unit == unit
-    assert parse_selector(text).unit_in(INDICES) == unit
-
-
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [
         ("ACTUATOR_STATE.measured[2]", "Pa"),
         ("ACTUATOR_COMMAND.target[0][1:3]", "Pa"),
         ("ACTUATOR_COMMAND.target", "Pa"),
@@ -52,8 +40,8 @@ def test_unit_is_that_of_the_comment(text: str, unit: str) -> None:
         ("TRUTH_ROBOT.joint_velocity[1]", "rad/s"),
     ],
 )
-def test_unit_of_a_channel_or_parameter_is_what_the_robot_says(recorded: Recorded, text: str, unit: str) -> None:
-    assert parse_selector(text).unit_in(Names.of(recorded.first)) == unit
+def test_unit_is_that_of_the_comment_or_what_the_robot_says(recorded: Recorded, text: str, unit: str) -> None:
+    assert read_series(recorded.first, [parse_selector(text)])[0].unit == unit
 
 
 @pytest.mark.parametrize(

@@ -167,8 +167,8 @@ def test_jitter_is_the_spread_of_the_gaps() -> None:
     assert statistics.mean_rate == pytest.approx(4 / 0.060)
 
 
-@pytest.mark.parametrize("width", [80, 140])
-def test_top_shows_every_channel_of_a_log(
+@pytest.mark.parametrize("width", [40, 80, 140])
+def test_top_shows_every_channel_of_a_log_and_cuts_no_number(
     recorded: Recorded, run: Run, monkeypatch: pytest.MonkeyPatch, width: int
 ) -> None:
     monkeypatch.setattr("imolo.inspect.commands.console.width", width)
@@ -177,6 +177,8 @@ def test_top_shows_every_channel_of_a_log(
     assert all(re.search(rf"^ {name} ", output, flags=re.MULTILINE) for name in channels.STREAMS)
     assert ("mocap_frame_t" in output) == (width == 140)
     assert max(map(len, output.splitlines())) <= width
+    assert not re.search(r"\w…", output)
+    assert ("…" in output) == (width > 40)
 
 
 def test_long_name_of_a_channel_leaves_room_for_the_numbers(

@@ -15,7 +15,7 @@ from imolo.inspect.series import Series, read_series
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log_file import LogEvent, read_events
-from imolo_msgs import actuator_state_t, marker_t, mocap_frame_t, truth_ball_t
+from imolo_msgs import actuator_state_t, marker_t, mocap_frame_t, robot_t, truth_ball_t
 
 
 def changed(events: list[LogEvent], channel: str, index: int, field: str, element: int, by: float) -> list[LogEvent]:
@@ -218,13 +218,38 @@ def test_divergence_is_drawn_for_joints_hand_ball_and_pressures(recorded: Record
     # The angles go apart for good; the pressures differ while a valve switches, and no more after it.
     assert [figure.axes[number].get_yscale() for number in (0, 3)] == ["log", "linear"]
     assert figure.axes[0].get_ylabel() == "difference [°]"
-    # The first panel shows degrees: a right angle is 90 of them.
-    assert PANELS[0].factor * np.pi / 2 == pytest.approx(90.0)
     drawn = [value for line in figure.axes[0].lines[:8] for value in line.get_ydata() if np.isfinite(value)]
     assert min(drawn) >= FLOOR
     names = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert (len(names), names[0]) == (8, "right hip")
     assert [line.get_linestyle() for line in figure.axes[0].lines[:8]] == ["-", "--"] * 4
+
+
+def test_each_unit_of_joints_and_channels_has_axes_of_its_own(recorded: Recorded, tmp_path: Path) -> None:
+    """As if the first joint slid, and the first channel were a motor's."""
+    logs = []
+    for path in (recorded.first, recorded.second):
+        events = list(read_events(path))
+        (robot,) = (number for number, event in enumerate(events) if event.channel == channels.ROBOT)
+        message = robot_t.decode(events[robot].data)
+        message.joint_unit, message.channel_unit = ["m", *message.joint_unit[1:]], ["N·m", *message.channel_unit[1:]]
+        events[robot] = events[robot]._replace(data=message.encode())
+        logs.append(write_events(tmp_path / path.name, events))
+    figure = draw_divergence(logs[0], logs[1], None)
+    assert [(axes.get_title("left"), axes.get_ylabel()) for axes in figure.axes] == [
+        ("ways of joints", "difference [mm]"),
+        ("joint angles", "difference [°]"),
+        ("right hand", "difference [mm]"),
+        ("ball", "difference [mm]"),
+        ("actuators", "difference [N·m]"),
+        ("pressures", "difference [kPa]"),
+    ]
+    (first,), (second,) = (read_series(path, [parse_selector(PANELS[0].field)]) for path in logs)
+    gap = difference_over_time(first, second)
+    assert gap is not None
+    for axes, column, factor in ((figure.axes[0], 0, 1e3), (figure.axes[1], 1, np.degrees(1.0))):
+        drawn = axes.lines[0].get_ydata()
+        assert np.abs(drawn[-1]) == pytest.approx(factor * np.abs(gap.values[-1, column]))
 
 
 def test_replayed_planner_says_the_same_to_the_byte(recorded: Recorded, run: Run) -> None:
