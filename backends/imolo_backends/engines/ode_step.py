@@ -1,6 +1,7 @@
 """A step in ODE as compiled code, by ODE's C interface: torques, contacts, the solver, and how the joints move."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,14 @@ def new_block() -> Block:
     """Return empty memory."""
     numbers = np.zeros(BLOCK)
     words = numbers.view(np.int64)
-    words[SELF], words[MEET] = numbers.ctypes.data, meet.address
+    words[SELF], words[MEET] = numbers.ctypes.data, _compiled_meet().address
     return words, numbers
+
+
+@cache
+def _compiled_meet() -> Any:
+    # Not while the module is imported, since that takes seconds at first.
+    return cfunc(types.void(types.voidptr, ID, ID), cache=True)(meet)
 
 
 @njit(cache=True)
@@ -113,7 +120,6 @@ def deepest(numbers: Array, count: int) -> int:
     return best
 
 
-@cfunc(types.void(types.voidptr, ID, ID), cache=True)
 def meet(block: Any, first: Any, second: Any) -> None:
     """Make the contacts of two shapes; ODE calls this for each pair that may touch."""
     words, numbers = carray(block, BLOCK, np.int64), carray(block, BLOCK, np.float64)
