@@ -4,6 +4,7 @@ import argparse
 import json
 import platform
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +18,7 @@ from benchmarks.measurement import Measurement
 from imolo.campaigns.results import installed_versions
 from imolo.contracts.registry import BACKENDS
 
+BEGIN, END = "<!-- bench -->", "<!-- /bench -->"
 VERDICT_STYLE = {"ok": "green", "slow": "red", "": ""}
 
 
@@ -66,19 +68,39 @@ def render(measurements: list[Measurement]) -> Table:
     return shown
 
 
+def write_page(page: Path, measurements: list[Measurement]) -> None:
+    """Replace the table between the marks of a Markdown page by the one that `render` shows.
+
+    Raises:
+        SystemExit: The page has no marks.
+    """
+    before, begin, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise SystemExit(f"{page} has no {BEGIN} followed by {END}")
+    columns = render(measurements).columns
+    rows = [[one.header for one in columns], ["---"] * len(columns)]
+    rows += zip(*(one.cells for one in columns), strict=True)
+    lines = "".join(f"| {' | '.join(map(str, row))} |\n" for row in rows)
+    page.write_text(f"{before}{begin}\n{lines}{end}{after}", encoding="utf-8")
+
+
 def main() -> None:
     """Run as `python -m benchmarks`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results.json"), help="file to write")
+    parser.add_argument("--page", type=Path, help=f"page whose table between {BEGIN} and {END} is written anew")
     parser.add_argument("--against", metavar="REV", help="print ratios to this revision instead, measured in turns")
     parser.add_argument("--only", nargs="+", choices=against.SUBJECTS, default=against.USUAL, help="with --against")
     parser.add_argument("--rounds", type=int, default=3, help="with --against: how often each is measured")
+    parser.add_argument("--log", type=Path, help="what top, plot, diff and export read, with --against")
     given = parser.parse_args()
     path: Path = given.json
     console = Console()
     if given.against:
-        against.compare(given.against, given.only, given.rounds, console)
+        against.compare(given.against, given.only, given.rounds, console, given.log)
         return
+    began = time.perf_counter()
     measurements = list(measure(console))
     console.print(render(measurements))
     content = {
@@ -87,7 +109,9 @@ def main() -> None:
         "measurements": [{**asdict(one), "verdict": one.verdict} for one in measurements],
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    console.print(f"written to {path}")
+    if given.page:
+        write_page(given.page, measurements)
+    console.print(f"written to {path}, after {time.perf_counter() - began:.0f} s")
 
 
 if __name__ == "__main__":

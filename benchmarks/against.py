@@ -10,6 +10,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -58,13 +59,32 @@ COMMANDS = {
     "campaign": ["compare", "configs/mujoco.yaml", "--balls", "4", "--jobs", "1", "--out", "{out}"],
     "demo": ["compare", *(f"configs/{name}.yaml" for name in ("mujoco", "pybullet", "dart")), "--out", "{out}"],
 }
-SUBJECTS = (*MEASURED, *COMMANDS)
+OF_LOGS = {
+    "top": ["top", "{log}"],
+    "plot": ["plot", "{log}", "TRUTH_BALL.ball_position", "--out", "{out}/plot.png"],
+    "diff": ["diff", "{log}", "{log}"],
+    "export": ["export", "{log}", "--to", "csv", "--out", "{out}/csv"],
+}
+SUBJECTS = (*MEASURED, *COMMANDS, *OF_LOGS)
 # Revisions before Drake and SAPIEN have no loops of theirs.
-USUAL = tuple(name for name in SUBJECTS if name not in ("live", "demo", "drake", "sapien"))
+USUAL = tuple(name for name in (*MEASURED, *COMMANDS) if name not in ("live", "demo", "drake", "sapien"))
 
 
-def compare(revision: str, subjects: list[str], rounds: int, console: Console) -> None:
-    """Measure subjects in this checkout and in a revision, in turns, and print the ratios, this over that."""
+def compare(revision: str, subjects: list[str], rounds: int, console: Console, log: Path | None = None) -> None:
+    """Measure subjects in this checkout and in a revision, in turns, and print the ratios, this over that.
+
+    Args:
+        revision: The other one.
+        subjects: Of `SUBJECTS`.
+        rounds: How often each is measured.
+        console: Where to print.
+        log: What those of `OF_LOGS` read.
+
+    Raises:
+        SystemExit: Something failed, or a subject lacks its log.
+    """
+    if missing := sorted(OF_LOGS.keys() & set(subjects)) if log is None else []:
+        raise SystemExit(f"{', '.join(missing)}: give the log to read with --log")
     other = checkout(revision)
     found: dict[str, list[tuple[float, float]]] = {}
     for subject in subjects:
@@ -72,7 +92,7 @@ def compare(revision: str, subjects: list[str], rounds: int, console: Console) -
             with console.status(f"{subject}, round {number + 1} of {rounds}"):
                 # Who is first changes, so that neither always has the warmer caches.
                 order = ((HERE, Path(sys.executable)), other)[:: 1 if number % 2 else -1]
-                values = {folder: dict(_measure(subject, folder, python)) for folder, python in order}
+                values = {folder: dict(_measure(subject, folder, python, log)) for folder, python in order}
             ours, theirs = values[HERE], values[other[0]]
             for name in ours.keys() & theirs.keys():
                 found.setdefault(name, []).append((ours[name], theirs[name]))
@@ -106,20 +126,26 @@ def checkout(revision: str) -> tuple[Path, Path]:
     return folder, python
 
 
-def _measure(subject: str, folder: Path, python: Path) -> Iterator[tuple[str, float]]:
+def _measure(subject: str, folder: Path, python: Path, log: Path | None) -> Iterator[tuple[str, float]]:
     """Yield what was measured and its number."""
     if subject in MEASURED:
         body = "\n".join(f"    {line}" for line in MEASURED[subject].splitlines())
         yield from json.loads(_run(str(python), "-c", FRAME.format(body), cwd=folder).splitlines()[-1]).items()
         return
     with tempfile.TemporaryDirectory() as out:
-        command = [part.format(out=out) for part in COMMANDS[subject]]
-        before = os.times()
-        _run(str(python.with_name("imolo")), *command, cwd=folder)
-        after = os.times()
-        cpu = after.children_user + after.children_system - before.children_user - before.children_system
-        yield f"{subject}: processor time [s]", cpu
-        yield f"{subject}: elapsed [s]", after.elapsed - before.elapsed
+        command = [part.format(out=out, log=log and log.resolve()) for part in (COMMANDS | OF_LOGS)[subject]]
+        begun = time.monotonic()
+        with tempfile.TemporaryFile("w+") as said:
+            program = subprocess.Popen(
+                [python.with_name("imolo"), *command], cwd=folder, stdout=subprocess.DEVNULL, stderr=said
+            )
+            _, status, used = os.wait4(program.pid, 0)
+            if status:
+                said.seek(0)
+                raise SystemExit(f"imolo {' '.join(command)} failed in {folder}:\n{said.read()[-2000:]}")
+        yield f"{subject}: processor time [s]", used.ru_utime + used.ru_stime
+        yield f"{subject}: elapsed [s]", time.monotonic() - begun
+        yield f"{subject}: most memory of a process [MB]", used.ru_maxrss / 1024.0
         if (timing := Path(out) / "timing.json").exists():
             for backend, methods in json.loads(timing.read_text())["timing"].items():
                 for method, numbers in methods.items():

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -109,7 +109,8 @@ class LookupTable:
         # As the compiled search takes them.
         self._cells = np.concatenate((self._box, self._cell_start))
         self._tuples = np.column_stack((self.time, motion_rows(template, self.theta)))
-        self._row = template.row_maker()
+        # A motion under way is asked about again and again.
+        self._row = lru_cache(maxsize=4096)(template.row_maker())
         self._limits = grid.spacing, self._reach, grid.time_tolerance
         self._nothing = np.zeros(2 * self.theta.shape[1]), -1.0
         for array in (self._cell, self.time, self.theta, self.position, self.hand_std):

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from imolo.contracts.engine import Array, BallContact, Scene
 from imolo.contracts.urdf import RobotModel
@@ -199,6 +200,9 @@ def rotation_matrices(quaternions: Array) -> Array:
     matrices[:, 2, 1] = 2.0 * (y * z + w * x)
     matrices[:, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
     return matrices
+
+
+link_rotations = njit(cache=True)(rotation_matrices)  # NumPy would take 20 µs at every `read`
 
 
 def base_rotation(scene: Scene) -> Array:

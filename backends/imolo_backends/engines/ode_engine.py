@@ -1,6 +1,7 @@
 """ODE, the paper's engine, as an `Engine`."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,13 +13,15 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import DivergenceError
+from imolo_backends.compiled import CFunction, c_function
+from imolo_backends.engines import ode_step
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import check_value, fill
-from imolo_backends.engines.ode_library import ode
-from imolo_backends.engines.ode_model import OdeRobot, make_ball, sliding
+from imolo_backends.engines.engine_checks import check_value
+from imolo_backends.engines.ode_library import ask, body_id, ode, view
+from imolo_backends.engines.ode_model import OdeRobot, make_ball
+from imolo_backends.engines.ode_step import read_joints
 from imolo_backends.simulation.simulated import simulated_plugin
 
-LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
 PAPER_SETTINGS = dict.fromkeys(("erp", "cfm", "stop_erp", "contact_erp"), 1e-6) | {
     "max_contacts": 3,
     "friction": "pyramid",
@@ -75,104 +78,75 @@ class OdeEngine(EngineAdapter):
         world.setGravity(scene.gravity)
         world.setERP(options.erp)
         world.setCFM(options.cfm)
-        self._contact_joints = ode.JointGroup()
-        self._robot_space, self._fixed_space = ode.SimpleSpace(), ode.SimpleSpace()
-        self._robot = OdeRobot(world, self._robot_space, scene, robot, options.stop_erp)
-        self._shapes = dict(self._robot.shapes)
+        robot_space, fixed_space = self._robot_space, self._fixed_space = ode.SimpleSpace(), ode.SimpleSpace()
+        self._robot = OdeRobot(world, robot_space, scene, robot, options.stop_erp)
         self._ball, self._ball_shape = make_ball(world, scene.ball)
-        self._shapes[self._ball_shape] = self._ball, "ball"
-        self._shapes[ode.GeomPlane(self._fixed_space, (0.0, 0.0, 1.0), 0.0)] = None, FLOOR
+        fixed = {ode.GeomPlane(fixed_space, (0.0, 0.0, 1.0), 0.0): FLOOR}
         for box in scene.boxes:
-            shape = ode.GeomBox(self._fixed_space, [2.0 * half for half in box.half_extents])
+            shape = ode.GeomBox(fixed_space, [2.0 * half for half in box.half_extents])
             shape.setPosition(box.center)
-            self._shapes[shape] = None, box.name
-
-        self._fall = [g * scene.timestep for g in scene.gravity]
-        self._stopped = scene.friction * math.hypot(*self._fall)  # [m/s] in a step, by friction under the weight
-        self._step = world.quickStep if options.sweeps else world.step
+            fixed[shape] = box.name
+        self._shapes = self._robot.shapes | fixed
+        self._names = {shape._id(): name for shape, name in self._shapes.items()}
         world.setQuickStepNumIterations(options.sweeps)
-        self._ball_touches: list[tuple[Any, str, Any, Any]] = []
+        self._prepare_steps()
         return self._loaded()
 
+    def _prepare_steps(self) -> None:
+        scene, options, ball = self._scene, self._options, body_id(self._ball)
+        words, numbers = self._block = ode_step.new_block()
+        spaces = (self._robot_space, self._fixed_space, self._ball_shape)
+        words[ode_step.WORLD], words[ode_step.BALL] = ask("dBodyGetWorld", ball), ball
+        words[ode_step.GROUP] = ask("dJointGroupCreate", 0)
+        words[ode_step.ROBOT_SPACE : ode_step.BALL_SHAPE + 1] = [space._id() for space in spaces]
+        words[ode_step.SWEEPS], words[ode_step.MOST] = options.sweeps, options.max_contacts
+        words[ode_step.TURNED] = options.friction == "sliding"
+        fall = [g * scene.timestep for g in scene.gravity]
+        numbers[ode_step.TIMESTEP : ode_step.FALL_Z + 1] = (
+            *(scene.timestep, scene.friction, options.contact_erp),
+            *(scene.restitution, scene.robot_restitution, options.restitution_velocity),
+            scene.friction * math.hypot(*fall),  # [m/s] in a step, by friction under the weight
+            *fall,
+        )
+        angle, velocity, _ = self._motion
+        self._motion = angle, velocity, view("dBodyGetLinearVel", ball)
+        self._base_speed = self._robot.base_speed()
+        self._torque, self._force, self._touched = np.zeros(len(angle)), np.zeros(3), np.zeros(1)
+        joints = self._robot.joints, self._robot.offset, angle, velocity
+        read_joints(*joints)
+        moving = *self._motion[2:], *self._base_speed
+        self._arguments = words, numbers, *joints, *moving, self._torque, self._force, self._touched
+
     def advance(self, joint_torque: Array, ball_force: Array) -> bool:
-        """See `EngineAdapter.advance`.
+        """See `EngineAdapter.advance`."""
+        self._torque[:], self._force[:] = joint_torque, ball_force
+        ode_step.step(*self._arguments)
+        return bool(self._touched[0])
+
+    def compiled_advance(self) -> tuple[CFunction, Array, Array, Array]:
+        """See `EngineAdapter.compiled_step`."""
+        return c_function(ode_step.step, *self._arguments), self._torque, self._force, self._touched
+
+    def touches(self) -> Iterator[Touch]:
+        """See `EngineAdapter.touches`.
 
         Raises:
             DivergenceError: A torque, force or speed is out of bounds, with which ODE might abort the process.
         """
-        torque, force = joint_torque.tolist(), ball_force.tolist()
-        _, velocity, ball_velocity = self.motion()
-        speeds = (*velocity.tolist(), *ball_velocity.tolist(), *self._robot.base_speed())
-        if not sum(map(abs, (*torque, *force, *speeds))) < LARGEST:
-            what = f"torques {torque} N·m, ball force {force} N or speeds of joints, ball and base {speeds}"
-            raise DivergenceError(f"not finite or beyond {LARGEST:g} at {self.time:.4f} s: {what}")
-        # ODE forgets torques and forces after every step.
-        for add, value in zip(self._robot.add_torque, torque, strict=True):
-            add(value)
-        self._ball.addForce(force)
-        ode.collide2(self._robot_space, self._fixed_space, None, self._meet)
-        ode.collide2(self._ball_shape, self._fixed_space, None, self._meet)
-        ode.collide2(self._ball_shape, self._robot_space, None, self._meet)
-        self._step(self._scene.timestep)
-        touched = bool(self._ball_touches)
-        if touched:
-            self._told = [self._tell(*touch) for touch in self._ball_touches]
-            self._ball_touches.clear()
-        self._contact_joints.empty()
-        self._robot.count_turns()
-        return touched
-
-    def _meet(self, _: None, first: Any, second: Any) -> None:
-        contacts = ode.collide(first, second)
-        if not contacts:
-            return
-        options, scene = self._options, self._scene
-        (first_body, first_name), (second_body, second_name) = self._shapes[first], self._shapes[second]
-        if first_body is second_body is None:
-            return
-        with_ball = self._ball in (first_body, second_body)
-        if len(contacts) > options.max_contacts:
-            contacts.sort(key=lambda contact: -contact.getContactGeomParams()[2])
-            del contacts[options.max_contacts :]
-        for contact in contacts:
-            mode = ode.ContactApprox1 | ode.ContactSoftERP
-            contact.setMu(scene.friction)
-            contact.setSoftERP(options.contact_erp)
-            position, normal, _, _, _ = contact.getContactGeomParams()
-            bounce = scene.restitution if with_ball else scene.robot_restitution
-            if with_ball or bounce > 0.0:
-                mode |= ode.ContactBounce
-                contact.setBounce(bounce)
-                contact.setBounceVel(options.restitution_velocity)
-            if options.friction == "sliding":
-                direction, speed = sliding(first_body, second_body, position, normal, self._fall)
-                if direction is not None:
-                    mode |= ode.ContactFDir1
-                    contact.setFDir1(direction)
-                    if speed > self._stopped:
-                        mode |= ode.ContactMu2
-                        contact.setMu2(0.0)
-            contact.setMode(mode)
-            joint = ode.ContactJoint(self._world, self._contact_joints, contact)
-            joint.attach(first_body, second_body)
-            if with_ball:
-                joint.setFeedback(True)
-                other = second_name if first_body is self._ball else first_name
-                self._ball_touches.append((joint, other, position, normal))
-
-    def _tell(self, joint: Any, other: str, position: Any, normal: Any) -> Touch:
-        force = joint.getFeedback()[0]
-        joint.setFeedback(False)  # with it the process would abort when the joint is removed
-        return other, position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))
-
-    def touches(self) -> list[Touch]:
-        """See `EngineAdapter.touches`."""
-        return self._told
+        words, numbers = self._block
+        if words[ode_step.DIVERGED]:
+            speeds = [part.tolist() for part in (*self._motion[1:], *self._base_speed)]
+            raise DivergenceError(
+                f"not finite or beyond {ode_step.LARGEST:g} at {self.time:.4f} s: torques {self._torque.tolist()} N·m, "
+                f"ball force {self._force.tolist()} N or speeds of joints, ball and base {speeds}"
+            )
+        for at in range(ode_step.TOUCHES, ode_step.CONTACTS, ode_step.TOUCH)[: words[ode_step.TOUCHED]]:
+            _, *position = numbers[at : at + ode_step.ALONG].tolist()
+            normal, force = numbers[at + ode_step.ALONG :][:3].tolist(), numbers[at + ode_step.FEEDBACK :][:3].tolist()
+            yield self._names[words[at]], position, abs(sum(f * n for f, n in zip(force, normal, strict=True)))
 
     def write_motion(self, joint_angle: Array, joint_velocity: Array, ball_velocity: Array) -> None:
-        """See `EngineAdapter.write_motion`."""
-        self._robot.write_motion(joint_angle, joint_velocity)
-        fill(ball_velocity, self._ball.getLinearVel())
+        """See `EngineAdapter.write_motion`; each step has done so."""
 
     def poses(self) -> Poses:
         """See `EngineAdapter.poses`."""
@@ -184,6 +158,8 @@ class OdeEngine(EngineAdapter):
         ODE's objects are let go here, one after the other. The garbage collector, which meets them where the engine is
         part of a circle of references, takes them apart in an order in which ODE crashes.
         """
+        if "_block" in vars(self):
+            ask("dJointGroupDestroy", int(self._block[0][ode_step.GROUP]))
         vars(self).clear()
 
     def _loaded(self) -> Loaded:

@@ -8,14 +8,12 @@ import numpy as np
 from imolo.contracts.engine import Array, Ball, Scene
 from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
-from imolo_backends.engines.engine_checks import Body, base_rotation, check_value, fill
-from imolo_backends.engines.ode_library import ode
+from imolo_backends.engines.engine_checks import Body, base_rotation, check_value
+from imolo_backends.engines.ode_library import body_id, joint_id, ode, view
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
 
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.
 LOWER_STOP, UPPER_STOP, STOP_BOUNCE, STOP_ERP, STOP_CFM = 0, 1, 7, 9, 10
-
-SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
 
 Pose = tuple[Array, Array]
 
@@ -26,9 +24,10 @@ class OdeRobot:
     Links that fixed joints hold together are one body, and a fixed base is none, so that neither can give.
 
     Attributes:
-        shapes: By collision shape: the body it moves with, None for what is fixed, and the name of its link.
+        shapes: By collision shape the name of its link.
         hinges: In the order of the scene's joints; sliders among them.
-        add_torque: In the same order, what adds a torque [N·m] or force [N] for the next step.
+        joints: The same for `ode_step.read_joints`.
+        offset: The same.
     """
 
     def __init__(self, world: Any, space: Any, scene: Scene, robot: RobotModel, stop_erp: float) -> None:
@@ -46,7 +45,7 @@ class OdeRobot:
         poses = model.link_poses(zero, *base)
         self._place_bodies(poses)
         self.hinges = [self._make_joint(model.joints[name], poses, stop_erp) for name in scene.joint_names]
-        self.shapes: dict[Any, tuple[Any, str]] = {}
+        self.shapes: dict[Any, str] = {}
         for name, link in robot.links.items():
             for collision in link.collisions:
                 self._add_shape(space, name, collision)
@@ -57,34 +56,29 @@ class OdeRobot:
         self._offset = np.array([place.position for place in places])[:, :, None]
         self._turn = np.array([place.rotation for place in places])
         self._com = np.array([model.links[name].com for name in order]).reshape(-1, 3, 1)
-        self._zero = [zero[name] for name in scene.joint_names]
         kinds = [model.joints[name].kind for name in scene.joint_names]
-        moving = [(hinge, kind == "prismatic") for hinge, kind in zip(self.hinges, kinds, strict=True)]
-        self.add_torque = [joint.addForce if slides else joint.addTorque for joint, slides in moving]
-        self._get_angle = [joint.getPosition if slides else joint.getAngle for joint, slides in moving]
-        self._get_velocity = [joint.getPositionRate if slides else joint.getAngleRate for joint, slides in moving]
-        self._wrapped = [get() for get in self._get_angle]
-        self._turning = [i for i, kind in enumerate(kinds) if kind == "continuous"]
-        for i in self._turning:
-            self._zero[i] += math.tau * round((scene.joint_angle[i] - self._wrapped[i]) / math.tau)
+        self.joints = np.array(
+            [
+                (joint_id(body_id(self._bodies[model.joints[name].child])), kind == "prismatic", kind == "continuous")
+                for name, kind in zip(scene.joint_names, kinds, strict=True)
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 3)
+        now = [
+            joint.getPosition() if kind == "prismatic" else joint.getAngle()
+            for joint, kind in zip(self.hinges, kinds, strict=True)
+        ]
+        self.offset = np.array([[zero[name] for name in scene.joint_names], now])
+        turning = self.joints[:, 2] != 0
+        turns = np.rint((np.array(scene.joint_angle)[turning] - self.offset[1, turning]) / math.tau)
+        self.offset[0, turning] += math.tau * turns
 
-    def count_turns(self) -> None:
-        """Follow joints without limits beyond half a turn; to be called after every step."""
-        for i in self._turning:
-            before, now = self._wrapped[i], self._get_angle[i]()
-            if abs(now - before) > math.pi:
-                self._zero[i] += math.copysign(math.tau, before - now)
-            self._wrapped[i] = now
-
-    def write_motion(self, angle: Array, velocity: Array) -> None:
-        """Write joint angles [rad] and velocities [rad/s], each of shape (J,)."""
-        fill(angle, [get() + zero for get, zero in zip(self._get_angle, self._zero, strict=True)])
-        fill(velocity, [get() for get in self._get_velocity])
-
-    def base_speed(self) -> tuple[float, ...]:
-        """Return linear [m/s] and angular velocity [rad/s] of the base's COM; nothing where the base is fixed."""
+    def base_speed(self) -> tuple[Array, Array]:
+        """Return views of the velocity [m/s] of the base's COM and of its spin [rad/s]; empty for a fixed base."""
         base = self._bodies.get(self._model.base)
-        return () if base is None else (*base.getLinearVel(), *base.getAngularVel())
+        if base is None:
+            return np.zeros(0), np.zeros(0)
+        return view("dBodyGetLinearVel", body_id(base)), view("dBodyGetAngularVel", body_id(base))
 
     def link_poses(self) -> tuple[Array, Array, Array]:
         """Return origins [m], shape (L, 3), and rotation matrices, shape (L, 3, 3), and the base's quaternion."""
@@ -113,7 +107,7 @@ class OdeRobot:
             BackendError: A stop bounces, or is not as stiff as asked for.
         """
         limits = {}
-        for name, hinge, zero in zip(self._scene.joint_names, self.hinges, self._zero, strict=True):
+        for name, hinge, zero in zip(self._scene.joint_names, self.hinges, self.offset[0].tolist(), strict=True):
             if self._model.joints[name].limits is not None:
                 limits[name] = hinge.getParam(LOWER_STOP) + zero, hinge.getParam(UPPER_STOP) + zero
                 stop = [hinge.getParam(number) for number in (STOP_BOUNCE, STOP_ERP, STOP_CFM)]
@@ -178,7 +172,7 @@ class OdeRobot:
             shape.setBody(body)
             shape.setOffsetPosition((position - self._model.links[place.part].com).tolist())
             shape.setOffsetRotation(rotation.ravel().tolist())
-        self.shapes[shape] = body, name
+        self.shapes[shape] = name
 
 
 def make_body(world: Any, mass: float, inertia: Array) -> Any:
@@ -197,28 +191,3 @@ def make_ball(world: Any, ball: Ball) -> tuple[Any, Any]:
     body.setPosition(ball.position)
     body.setLinearVel(ball.velocity)
     return body, shape
-
-
-def sliding(first: Any, second: Any, position: Any, normal: Any, fall: Any) -> tuple[Any, float]:
-    """Return the unit vector along which one body slides on the other, either way round, and the speed [m/s].
-
-    The vector is None where nothing slides.
-
-    Args:
-        first: A body; one of the two may be None, which is fixed.
-        second: The other one.
-        position: Contact point [m].
-        normal: Of the contact.
-        fall: Velocity that gravity adds in a step [m/s]; with it a body that rests on a ramp has a direction as well.
-    """
-    if first is None:
-        first, second = second, None
-    x, y, z = first.getPointVel(position)
-    vx, vy, vz = fall if second is None else second.getPointVel(position)
-    sign = 1.0 if second is None else -1.0
-    x, y, z = x + sign * vx, y + sign * vy, z + sign * vz
-    nx, ny, nz = normal
-    closing = x * nx + y * ny + z * nz
-    x, y, z = x - closing * nx, y - closing * ny, z - closing * nz
-    speed = math.sqrt(x * x + y * y + z * z)
-    return ((x / speed, y / speed, z / speed) if speed > SLIDING else None), speed

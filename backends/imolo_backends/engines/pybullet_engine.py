@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numba import njit
 from pydantic import PositiveInt
 
 from imolo.config.model import Fraction, NonNegative, Searched
@@ -15,7 +14,7 @@ from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
-from imolo_backends.engines.engine_checks import BallWatch, base_com_velocity, fill, rotation_matrices, turned_inertia
+from imolo_backends.engines.engine_checks import BallWatch, base_com_velocity, fill, link_rotations, turned_inertia
 from imolo_backends.engines.quiet_import import quiet_imports
 from imolo_backends.simulation.simulated import simulated_plugin
 
@@ -29,7 +28,6 @@ BODY_RESTITUTION = 1e-4
 # [rad/s, m/s] Bullet clamps every joint velocity at 100, the spin of a rolling ball among them.
 VELOCITY_LIMIT = 1e6
 TORQUE = pybullet.TORQUE_CONTROL
-ROTATION_MATRICES = njit(cache=True)(rotation_matrices)  # NumPy would take 20 µs at every `read`
 
 
 class PybulletOptions(EngineOptions):
@@ -180,7 +178,7 @@ class PybulletEngine(EngineAdapter):
             turns += [link[5] for link in links]
         x, y, z, w = turns[0]
         ball_position, _ = pybullet.getBasePositionAndOrientation(self._ball, client)
-        return np.array(positions), ROTATION_MATRICES(np.array(turns)), np.array((w, x, y, z)), np.array(ball_position)
+        return np.array(positions), link_rotations(np.array(turns)), np.array((w, x, y, z)), np.array(ball_position)
 
     def close(self) -> None:
         """See `Engine.close`."""

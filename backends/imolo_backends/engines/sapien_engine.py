@@ -18,7 +18,7 @@ from imolo_backends.engines.engine_checks import (
     base_rotation,
     fill,
     joint_index,
-    rotation_matrices,
+    link_rotations,
 )
 from imolo_backends.engines.sapien_bodies import (
     attach,
@@ -188,7 +188,7 @@ class SapienEngine(EngineAdapter):
         quaternions = np.array([pose.q for pose in poses], dtype=np.float64)
         positions = np.array([pose.p for pose in poses], dtype=np.float64)
         ball = self._ball.entity_pose.p.astype(np.float64)
-        return positions, rotation_matrices(np.roll(quaternions, -1, axis=1)), quaternions[0], ball
+        return positions, link_rotations(np.roll(quaternions, -1, axis=1)), quaternions[0], ball
 
     def _loaded(self) -> Loaded:
         limits = {joint.name: joint.limit[0] for joint in self._joints}

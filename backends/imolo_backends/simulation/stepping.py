@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba import njit, typeof
 
 from imolo.contracts.actuators import Actuators
 from imolo.contracts.engine import Array, Engine
@@ -40,11 +40,13 @@ def stepping(engine: Engine, actuators: Actuators, air: BallDrag) -> Stepping:
 
 def _compiled(law: CFunction, torque: Array, air: BallDrag, ball_velocity: Array, step: CompiledStep) -> Stepping:
     acting = (*law, torque, step.joint_torque, air.force, step.ball_force, air.drag, ball_velocity)
-    stepping = (*step.function, step.ball_reaction)
+    stepping = (*acting, *step.function, step.ball_reaction)
+    # As of now: to find the types of so many arguments out again would cost more than a step's actuators.
+    take_steps = _take_steps.compile(tuple(map(typeof, (1, True, *stepping))))
 
     def run(steps: int, flies: bool) -> None:
         while steps:
-            done, touched = _take_steps(steps, flies, *acting, *stepping)
+            done, touched = take_steps(steps, flies, *stepping)
             step.taken(done, touched)
             steps -= done
 
