@@ -1,5 +1,6 @@
 """The choice of the hit by its probability, beside the first tuple that is close enough (Sec. IV-A)."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -168,7 +169,9 @@ class HitChooser:
             raise ConfigError(f"hit.coarse is {coarse}; give {count} numbers, one per parameter of the motion")
         self._coarse = np.maximum(1, swings.size // np.array(coarse))
         self._extent = Extent(
-            0.5 * config.effector_width + config.ball_radius,
+            # What meets a plate seen from its edge is a bar with round ends; the largest rectangle in it.
+            0.5 * config.effector_width + 0.5 * config.ball_radius,
+            math.sqrt(0.75) * config.ball_radius,
             config.timing_std**2,
             0.5 * time_step + 1e-6,
             config.farthest,

@@ -74,13 +74,15 @@ class Extent(NamedTuple):
     """What meets, and how exactly in time.
 
     Attributes:
-        reach: Half the short side of the plate and the radius of the ball [m].
+        across: Offset along the horizontal up to which the ball meets the plate for certain [m].
+        upright: The same along the direction across both [m].
         timing_variance: Of the motion [s²].
         time_gap: Longest time between a point of the path and its tuple [s].
         farthest: Distance of ball and hand beyond which they are not considered [m].
     """
 
-    reach: float
+    across: float
+    upright: float
     timing_variance: float
     time_gap: float
     farthest: float
@@ -156,24 +158,24 @@ def meeting_probability(
     level = math.hypot(wx, wy)
     if closing < LEAST_CLOSING_SPEED or level < _LEVEL * closing:
         return 0.0
-    timing, reach = extent.timing_variance, extent.reach
+    timing, across, upright = extent.timing_variance, extent.across, extent.upright
     # n is where the ball comes from as the hand sees it, a horizontal, b = n × a.
     nx, ny, nz = wx / closing, wy / closing, wz / closing
     ax, ay = -wy / level, wx / level
     a = offset[0] * ax + offset[1] * ay
     std_a = math.sqrt(_variance_along(ax, ay, 0.0, covariance, hand_velocity, timing))
-    if abs(a) > reach + _FAR * std_a:
+    if abs(a) > across + _FAR * std_a:
         return 0.0
     bx, by, bz = -nz * ay, nz * ax, nx * ay - ny * ax
     b = offset[0] * bx + offset[1] * by + offset[2] * bz
     std_b = math.sqrt(_variance_along(bx, by, bz, covariance, hand_velocity, timing))
-    if abs(b) > reach + _FAR * std_b:
+    if abs(b) > upright + _FAR * std_b:
         return 0.0
     n = offset[0] * nx + offset[1] * ny + offset[2] * nz
     std_n = math.sqrt(_variance_along(nx, ny, nz, covariance, hand_velocity, timing))
     probability: float = (
-        normal_within(a, std_a, -reach, reach)
-        * normal_within(b, std_b, -reach, reach)
+        normal_within(a, std_a, -across, across)
+        * normal_within(b, std_b, -upright, upright)
         * normal_within(-n / closing, std_n / closing, until_first, until_last)
     )
     return probability

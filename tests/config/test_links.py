@@ -82,10 +82,12 @@ def test_bad_link_is_refused_in_one_line(links: dict[str, Any], words: str) -> N
 def test_link_is_a_parameter_from_the_value_of_the_model_on() -> None:
     plain = changed({})
     assert read_setting(plain, "robot.links.trunk.mass") == 3.5
-    assert read_setting(plain, "robot.links.trunk.center_of_mass.2") == 0.18
+    assert read_setting(plain, "robot.links.trunk.center_of_mass.2") == 0.2254
     settings = {"robot.links.trunk.mass": 4.0, "robot.links.trunk.center_of_mass.2": 0.2}
     assert body_of(apply(plain, settings).robot).model.links["trunk"].mass == 4.0
-    assert patch(settings, plain) == {"robot": {"links": {"trunk": {"mass": 4.0, "center_of_mass": [0.0, 0.0, 0.2]}}}}
+    assert patch(settings, plain) == {
+        "robot": {"links": {"trunk": {"mass": 4.0, "center_of_mass": [-0.02411, 0.0, 0.2]}}}
+    }
     assert apply(plain, {"simulation.timestep": 2e-4}).robot == plain.robot
     with pytest.raises(ConfigError, match="did you mean 'trunk'"):
         read_setting(plain, "robot.links.trunc.mass")

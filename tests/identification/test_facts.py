@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from liberobot import CONFIG
 from numpy.typing import NDArray
 
 from imolo.campaigns.motion_recorder import without_chance
@@ -182,6 +183,6 @@ def test_search_begins_at_its_start_and_is_held_against_the_robot_as_it_is(tmp_p
     }
     begun = study(facts=facts, parameters=parameters, evaluations=10)
     found = fit_to_facts(begun, tmp_path / "s.yaml", ResultsFolder(tmp_path), 1, ParallelConfig())
-    assert found.settings[0].start == found.facts[0].start == 0.8
+    assert found.settings[0].start == found.facts[0].start == CONFIG.simulation.contact.friction
     assert found.best_loss == pytest.approx(0.0, abs=1e-12)
     assert found.settings[0].best == pytest.approx(1.3)

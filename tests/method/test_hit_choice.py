@@ -22,7 +22,7 @@ from imolo.method.motion import PhasedMotion, Theta
 
 Array = NDArray[np.float64]
 
-REACH = 0.085
+ACROSS, UPRIGHT = 0.04 + 0.0225, math.sqrt(0.75) * 0.045  # [m] of Liberobot's plate and ball
 STEP = 0.01
 BALL = np.array([-4.0, 0.3, -2.0])
 HAND = np.array([6.0, 0.2, 5.0])
@@ -33,7 +33,7 @@ def probability(offset: Array, covariance: Array, before: float = -1.0, after: f
 
 
 def met(offset: Array, ball_velocity: Array, covariance: Array, before: float, after: float) -> float:
-    extent = Extent(reach=REACH, timing_variance=0.0, time_gap=STEP, farthest=1.0)
+    extent = Extent(across=ACROSS, upright=UPRIGHT, timing_variance=0.0, time_gap=STEP, farthest=1.0)
     C = covariance
     symmetric = (C[0, 0], C[1, 1], C[2, 2], C[0, 1], C[0, 2], C[1, 2])
     p = meeting_probability(tuple(offset), tuple(ball_velocity), tuple(HAND), symmetric, before, after, extent)
@@ -46,10 +46,10 @@ def spread(scale: float) -> Array:
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.05, 0.03, -0.08), (-0.2, 0.1, -0.2), (0.0, 0.3, 0.0)])
 @pytest.mark.parametrize("window", [(-1.0, 1.0), (-0.004, 0.003)])
-def test_closed_form_is_the_share_of_drawn_offsets_that_fly_through_the_square(
+def test_closed_form_is_the_share_of_drawn_offsets_that_fly_through_the_rectangle(
     offset: tuple[float, float, float], window: tuple[float, float]
 ) -> None:
-    """With a covariance that does not couple the axes of the square, the closed form is exact."""
+    """With a covariance that does not couple the axes of the rectangle, the closed form is exact."""
     relative = BALL - HAND
     n = relative / np.linalg.norm(relative)
     a = np.array([-n[1], n[0], 0.0]) / math.hypot(n[0], n[1])
@@ -60,9 +60,18 @@ def test_closed_form_is_the_share_of_drawn_offsets_that_fly_through_the_square(
     drawn = np.random.default_rng(0).multivariate_normal(offset, covariance, count)
     meets = -(drawn @ n) / np.linalg.norm(relative)
     at = drawn + meets[:, np.newaxis] * relative
-    inside = (np.abs(at @ axes[:2].T) < REACH).all(axis=1) & (meets > window[0]) & (meets < window[1])
+    inside = (np.abs(at @ axes[:2].T) < (ACROSS, UPRIGHT)).all(axis=1) & (meets > window[0]) & (meets < window[1])
     p = probability(np.array(offset), covariance, *window)
     assert abs(inside.mean() - p) <= 4.0 * math.sqrt(p * (1.0 - p) / count) + 1e-4
+
+
+@given(st.floats(0.02, 0.3), st.floats(0.01, 0.2), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_ball_that_counts_as_certain_touches_a_plate_that_is_seen_from_its_edge(
+    width: float, radius: float, across: float, upright: float
+) -> None:
+    made = HitChooser(swings(), MOTION, HitConfig(effector_width=width, ball_radius=radius), STEP)._extent
+    a, b = across * made.across, upright * made.upright
+    assert math.hypot(max(abs(a) - 0.5 * width, 0.0), b) <= radius * (1.0 + 1e-12)
 
 
 @given(st.floats(0.1, 3.0), st.floats(1.01, 3.0))
@@ -105,6 +114,7 @@ def ball(y: float, arrives: float, std: float = 0.01) -> BallPath:
     return BallPath(time, position, np.tile(BALL, (len(time), 1)), np.tile(std**2 * np.eye(3), (len(time), 1, 1)))
 
 
+SURE = dict.fromkeys((-1.0, 0.0, 1.0), 0.005)  # [m] of the hand, by k
 SIZES = {"effector_width": BODY.effectors[0].width, "ball_radius": FOAM_BALL.radius}
 
 
@@ -118,7 +128,7 @@ def chosen(hit: ProbableHit | None) -> tuple[Theta, int]:
 
 
 def test_motion_that_meets_the_ball_is_chosen() -> None:
-    table = swings()
+    table = swings(std=SURE)
     hit = chooser(table).start(ball(-0.4, 0.6))
     assert chosen(hit) == ((-1.0, 0.3), 1)
     assert hit is not None
@@ -128,7 +138,7 @@ def test_motion_that_meets_the_ball_is_chosen() -> None:
 
 def test_other_hand_is_the_mirrored_hand_of_the_opposite_k() -> None:
     """The left hand of k = 1 is where the right one of k = -1 is, y reversed."""
-    hit = chooser(swings()).start(ball(0.4, 0.6))
+    hit = chooser(swings(std=SURE)).start(ball(0.4, 0.6))
     assert chosen(hit) == ((1.0, 0.3), -1)
     assert hit is not None
     assert np.linalg.norm(hit.position - (1.0, 0.4, 1.0)) < 0.05
@@ -224,7 +234,7 @@ def best_of_all(
     template: PhasedMotion, table: Swings, config: HitConfig, path: BallPath, executed: tuple[Theta, int] | None
 ) -> tuple[float, dict[Theta, float]]:
     """Return the highest probability, and that of every motion which continues the executed one, one by one."""
-    extent = Extent(REACH, config.timing_std**2, 0.5 * STEP + 1e-6, config.farthest)
+    extent = Extent(ACROSS, UPRIGHT, config.timing_std**2, 0.5 * STEP + 1e-6, config.farthest)
     found = {}
     for index, row in enumerate(table.motion.tolist()):
         theta = tuple(row[: len(template.varied)])

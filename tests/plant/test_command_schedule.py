@@ -10,7 +10,8 @@ from liberobot import CHANNELS, MOTION
 from imolo.method.commands import Commands
 from imolo_backends.simulation.command_schedule import CommandSchedule
 
-REST = [0.0] * 7 + [5e4]
+REST = [channel.rest for channel in CHANNELS]
+assert REST[7] > 0.0  # holds the crouch
 ONSET = 20_000  # [µs]
 THETA = (0.5, 0.3)
 COMMANDS = MOTION.commands(THETA, ONSET)

@@ -31,7 +31,7 @@ NO_TUBE: dict[str, Any] = {"tube_diameter": 1e-9}  # [m] lets 1e-17 kg through
 ISOTHERMAL: dict[str, Any] = {"heat_in": 1.0, "heat_out": 1.0, "heat_volume": 1.0}
 ENDLESS_TANK: dict[str, Any] = {"tank_volume": 1e9}  # [m³]
 AT_ONCE: dict[str, Any] = {"valve_dead_time": 0.0, "valve_time_constant": SUBSTEP}
-SHUT: dict[str, Any] = {"full_opening_error": 1e15}  # [Pa] a valve that no error opens
+SHUT: dict[str, Any] = {"full_opening_error": 1e18}  # [Pa] a valve that no error opens
 KILO = 1e-3
 
 
@@ -208,7 +208,7 @@ def closed_valves(drive: PneumaticDrive) -> Iterator[Measurement]:
     for step in range(2000):
         angle = drive.middle + 0.4 * math.sin(2.0 * math.pi * step / 500) * np.ptp(drive.joint_limits, axis=1)
         air.hold(SUBSTEP, angle)
-    basis = "m = p V / (R T), all isothermal; rounding, and valves open by 1e-10"
+    basis = "m = p V / (R T), all isothermal; rounding, and valves open by 1e-13"
     yield Measurement("air in the robot", "g", robot, air.mass_in_robot(angle), 1e-8 * robot, basis)
     yield Measurement("air in the tanks", "g", tanks, air.mass_in_tanks(), 1e-8 * tanks, basis)
 

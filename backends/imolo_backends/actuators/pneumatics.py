@@ -84,10 +84,10 @@ class AirConfig(ActuatorsConfig):
     tube_diameter: Positive = Field(0.004, description="inner diameter of the tubes [m]")
     tube_length: Annotated[Positive, Searched(0.15, 1.5)] = Field(0.5, description="valve to chamber [m]")
     critical_ratio: Fraction = Field(0.3, description="b of ISO 6358 for valves and tubes [-], assumed: typical")
-    supply_conductance: Annotated[Positive, Searched(2e-09, 6e-08)] = Field(
+    supply_conductance: Annotated[Positive, Searched(2e-09, 5e-07)] = Field(
         description="sonic conductance of a valve from tank to tube [m³/(s·Pa)]"
     )
-    exhaust_conductance: Annotated[Positive, Searched(5e-09, 3e-07)] = Field(
+    exhaust_conductance: Annotated[Positive, Searched(5e-09, 3e-06)] = Field(
         description="sonic conductance of a valve to the air [m³/(s·Pa)]"
     )
     full_opening_error: Annotated[Positive, Searched(5000, 100000)] = Field(
@@ -99,7 +99,7 @@ class AirConfig(ActuatorsConfig):
     valve_dead_time: Annotated[NonNegative, Searched(0.001, 0.03)] = Field(
         0.010, description="delay of the command [s], assumed"
     )
-    dead_volume: Annotated[Positive, Searched(3e-06, 8e-05)] = Field(
+    dead_volume: Annotated[Positive, Searched(5e-07, 8e-05)] = Field(
         15e-6, description="of a chamber at the end of its stroke [m³], assumed"
     )
     manifold_volume: Positive = Field(4e-6, description="behind each valve [m³], assumed")

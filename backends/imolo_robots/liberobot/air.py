@@ -1,7 +1,7 @@
 """Liberobot's pneumatics (Secs. V-A, V-B, Fig. 6a).
 
-*Assumed* numbers were chosen together, so that the motion looks like the paper's: k moves the hand sideways, t_w
-forward and up.
+*Fitted* numbers, which the paper does not give, were searched together, so that the motions meet what it says of its
+robot's; docs/the-papers-robot.md has their ranges.
 """
 
 from typing import Annotated
@@ -40,24 +40,23 @@ class LiberobotAir(AirConfig):
     moment_arm: Positive = Field(0.026, description="radius of the joint pulley [m], Sec. V-A")
     leg_reduction: Positive = Field(2.0, description="speed reduction of the leg pulleys [-], Sec. V-A")
     tube_diameter: Positive = Field(0.004, description="inner diameter of the tubes [m], Sec. V-B")
-    tube_length: Positive = Field(0.5, description="valve to chamber [m], assumed: half the robot's height")
+    tube_length: Positive = Field(0.413, description="valve to chamber [m], fitted")
     supply_conductance: Positive = Field(
-        0.8e-8, description="sonic conductance of a valve from tank to tube [m³/(s·Pa)], assumed: lift-off at 0.23 s"
+        5.022e-08, description="sonic conductance of a valve from tank to tube [m³/(s·Pa)], fitted"
     )
     exhaust_conductance: Positive = Field(
-        3.0e-8,
-        description="sonic conductance of a valve to the air [m³/(s·Pa)], assumed: arm at 60-130° at t_w + 0.17 s",
+        2.908e-07, description="sonic conductance of a valve to the air [m³/(s·Pa)], fitted"
     )
-    valve_time_constant: Positive = Field(
-        0.015, description="first-order lag of the opening [s], assumed: see conductances"
-    )
-    valve_dead_time: NonNegative = Field(0.010, description="delay of the command [s], assumed: see conductances")
-    leg_coulomb_friction: Annotated[NonNegative, Searched(0.1, 4)] = Field(1.2, description="[N·m], assumed")
-    leg_viscous_friction: Annotated[NonNegative, Searched(0.01, 0.5)] = Field(0.10, description="[N·m·s], assumed")
-    arm_coulomb_friction: Annotated[NonNegative, Searched(0.01, 0.6)] = Field(0.12, description="[N·m], assumed")
-    arm_viscous_friction: Annotated[NonNegative, Searched(0.001, 0.06)] = Field(0.01, description="[N·m·s], assumed")
+    full_opening_error: Positive = Field(11920.0, description="pressure error that opens a valve fully [Pa], fitted")
+    dead_volume: Positive = Field(3.214e-06, description="of a chamber at the end of its stroke [m³], fitted")
+    valve_time_constant: Positive = Field(0.004225, description="first-order lag of the opening [s], fitted")
+    valve_dead_time: NonNegative = Field(0.0031, description="delay of the command [s], fitted")
+    leg_coulomb_friction: Annotated[NonNegative, Searched(0.1, 4)] = Field(0.5629, description="[N·m], fitted")
+    leg_viscous_friction: Annotated[NonNegative, Searched(0.01, 0.5)] = Field(0.2167, description="[N·m·s], fitted")
+    arm_coulomb_friction: Annotated[NonNegative, Searched(0.01, 0.6)] = Field(0.01016, description="[N·m], fitted")
+    arm_viscous_friction: Annotated[NonNegative, Searched(0.001, 0.06)] = Field(0.0286, description="[N·m·s], fitted")
     rest_pressure: EightPressures = Field(
-        (0.0,) * 7 + (0.05e6,), description="valves 1..8 before the onset [Pa], assumed: valve 8 holds the crouch"
+        (0.0,) * 7 + (30790.0,), description="valves 1..8 before the onset [Pa]: valve 8 holds the crouch; fitted"
     )
     valve_names: tuple[str, ...] = Field(VALVES, description="by number, Fig. 6")
 
