@@ -12,6 +12,7 @@ from liberobot import CONFIG, TRAINING_MOTIONS
 from played_trials import COARSE, hand_in_truth, play_motion, quiet
 from requirements import BACKEND_PARAMS, needs
 
+from imolo.identification.study_file import load_study
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.method.motion import Theta
@@ -105,16 +106,26 @@ def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
     assert abs(reach("flat")) < 0.1 * reach("semicircular")
 
 
+# Engines are held to each other on the robot as it was first assumed. The hands of the fitted one are farther apart, see
+# docs/why-engines-differ.md.
 # Measured: mujoco - pybullet 5.6 ± 4.4, mujoco - dart 3.6 ± 2.7, pybullet - dart 4.8 ± 4.0 mm. The bound is the one the
 # project has set itself.
 AGREEMENT = 12.0  # [mm]
+ASSUMED = load_study(Path(__file__).parents[2] / "configs" / "studies" / "liberobot_paper.yaml").config
+
+
+@cache
+def assumed_hand(backend: str, theta: Theta, **options: str) -> np.ndarray:
+    asked = {key: ASSUMED["simulation"][key] for key in ("actuators", "contact")}
+    chosen = quiet(backend, FINE, options, ASSUMED["robot"], **asked)
+    with TemporaryDirectory() as folder:
+        return hand(play_motion(chosen, Path(folder) / "log", theta, SWING + 0.03))
 
 
 def disagreement(one: str, other: str, **options: str) -> float:
     """Return how far apart the hands are, mean over Table III [mm]; the options are those of the second backend."""
     distances = [
-        np.linalg.norm(hand(motion(one, theta, timestep=FINE)) - hand(motion(other, theta, timestep=FINE, **options)))
-        for theta in TRAINING_MOTIONS
+        np.linalg.norm(assumed_hand(one, theta) - assumed_hand(other, theta, **options)) for theta in TRAINING_MOTIONS
     ]
     return 1e3 * float(np.mean(distances))
 
