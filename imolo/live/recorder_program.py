@@ -1,5 +1,6 @@
 """`imolo record`: every message on the network in one log, on the disk as soon as it is heard."""
 
+import contextlib
 import struct
 import time
 from pathlib import Path
@@ -38,8 +39,9 @@ class EventFile:
             self._file: BinaryIO = open(path, "xb", buffering=0)  # noqa: SIM115 (close() closes it)
         except OSError as error:
             raise BusError(f"cannot write the log {path}: {error.strerror}; choose another --out") from error
+        self._path = path
         self._waiting = bytearray()
-        self.events = self.size = 0
+        self.events = self.size = self._written = 0
 
     def add(self, utime: int, channel: str, data: bytes) -> None:
         """Add an event that was heard at `utime` [µs]."""
@@ -50,11 +52,25 @@ class EventFile:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all events to the operating system."""
-        while self._waiting:
-            written = self._file.write(self._waiting) or 0
-            self.size += written
-            del self._waiting[:written]
+        """Hand all events to the operating system.
+
+        Raises:
+            BusError: It does not take them; the file ends with what was handed over before.
+        """
+        waiting, self._waiting = memoryview(self._waiting), bytearray()
+        left = waiting
+        try:
+            while left:
+                left = left[self._file.write(left) or 0 :]
+        except OSError as error:
+            self.events = self._written
+            with contextlib.suppress(OSError):
+                self._file.seek(self._file.truncate(self.size))
+            raise BusError(
+                f"cannot write the log {self._path}: {error.strerror}; make room, what was recorded before is kept"
+            ) from error
+        self.size += len(waiting)
+        self._written = self.events
 
     def close(self) -> None:
         """Write the rest and close the file."""

@@ -1,5 +1,6 @@
 """The recorder's file holds whole events at any moment, and never replaces another."""
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -67,6 +68,24 @@ def test_file_of_a_killed_program_ends_with_a_whole_event(tmp_path: Path) -> Non
     assert [time for _, time, _, _ in found] == list(range(len(found)))
     assert len(found) >= 994
     assert path.stat().st_size == size
+
+
+def test_full_disk_is_told_and_leaves_whole_events(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    file = EventFile(path)
+    file.add(1, "MOCAP", b"whole")
+    file.flush()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.size + 10, hard))
+    try:
+        file.add(2, "MOCAP", b"too much")
+        with pytest.raises(BusError, match=r"cannot write the log .*; make room, what was recorded before is kept"):
+            file.flush()
+        file.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert file.events == 1
+    assert events(path) == [(0, 1, "MOCAP", b"whole")]
 
 
 def test_messages_without_a_pause_are_written_in_chunks(tmp_path: Path) -> None:

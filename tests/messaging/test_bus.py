@@ -36,7 +36,7 @@ def test_message_of_another_type_is_refused() -> None:
         Bus().publish(channels.MOCAP, sensed(0))
 
 
-@pytest.mark.parametrize("url", ["nonsense://", "memq", "file:///no/such/folder/log?mode=r"])
+@pytest.mark.parametrize("url", ["nonsense://", "memq", "file:///no/such/folder/log?mode=r", "memq\udce4"])
 def test_url_that_lcm_cannot_open_is_a_bus_error_with_the_recipe(url: str) -> None:
     with pytest.raises(BusError, match=r"ip route add 224\.0\.0\.0/4 dev lo") as caught:
         Bus(url)
