@@ -106,7 +106,7 @@ def test_flat_soles_hardly_move_the_hand_sideways(backend: str) -> None:
     assert abs(reach("flat")) < 0.1 * reach("semicircular")
 
 
-# Engines are held to each other on the robot as it was first assumed. The hands of the fitted one are farther apart, see
+# Engines are held to each other on the robot as it was first assumed; the hands of the fitted one are farther apart:
 # docs/why-engines-differ.md.
 # Measured: mujoco - pybullet 5.6 ± 4.4, mujoco - dart 3.6 ± 2.7, pybullet - dart 4.8 ± 4.0 mm. The bound is the one the
 # project has set itself.
