@@ -8,9 +8,17 @@ from numpy.typing import NDArray
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of
+from imolo.contracts.actuators import Channel
 from imolo.errors import BusError, TrainingDataError
 from imolo.identification.experiment import Finding
-from imolo.identification.robot_logs import RobotLog, marker_samples, read_motion, sensor_samples
+from imolo.identification.robot_logs import (
+    RobotLog,
+    largest_range,
+    marker_samples,
+    read_motion,
+    sensor_samples,
+    sensor_unit,
+)
 from imolo.messaging import channels
 from imolo.messaging.log import Log, read_log
 
@@ -170,20 +178,25 @@ def _check_sensors(log: Log, onset: int, config: ExperimentConfig, quantities: C
     finite = np.isfinite(measured)
     if not finite.all(axis=1).any():
         raise TrainingDataError("has no reading of all sensors that is a number; leave sensors out of quantities")
+    for unit in dict.fromkeys(channel.unit for channel in actuators):
+        own = [number for number, channel in enumerate(actuators) if channel.unit == unit]
+        _check_readings(time, measured[:, own], [actuators[number] for number in own])
+
+
+def _check_readings(time: Array, measured: Array, actuators: Sequence[Channel]) -> None:
+    """Refuse readings of channels with the same unit that are in another one, or shifted."""
+    finite, unit = np.isfinite(measured), actuators[0].unit
     largest = float(np.abs(measured[finite]).max())
-    span = max(channel.high - channel.low for channel in actuators)
+    span = largest_range(actuators)
     if not LOWEST * span < largest < HIGHEST * span:
-        raise TrainingDataError(
-            f"has readings up to {largest:.3g} where the range is {span:.3g} {actuators[0].unit}; record "
-            f"{actuators[0].unit}"
-        )
+        raise TrainingDataError(f"has readings up to {largest:.3g} where the range is {span:.3g} {unit}; record {unit}")
     before = measured[(time <= 0.0) & finite.all(axis=1)]
     if len(before):
         above = np.median(before, axis=0) - [channel.rest for channel in actuators]
         if float(above.min()) > SHIFTED * span:
             raise TrainingDataError(
-                f"has every sensor at least {float(above.min()):.3g} {actuators[0].unit} above its rest before the "
-                "onset; record gauge pressures, or take the offset off"
+                f"has every sensor at least {float(above.min()):.3g} {unit} above its rest before the onset; record "
+                "gauge pressures, or take the offset off"
             )
 
 
@@ -197,14 +210,16 @@ def _noise(log: Log, onset: int, config: ExperimentConfig) -> tuple[float, float
             spreads.append(float(np.diff(still, axis=0).std() / np.sqrt(2.0)))
     time, measured = sensor_samples(log, onset)
     still = measured[(time > -0.2) & (time <= 0.0)]
-    sensors = float(np.nanstd(np.diff(still, axis=0)) / np.sqrt(2.0)) if len(still) > 4 else np.nan
+    _, sizes = sensor_unit(config.simulation.actuators.channels)
+    known = len(still) > 4 and still.shape[1] == len(sizes)  # it need not be where sensors are not compared
+    sensors = float(np.nanstd(np.diff(still / sizes, axis=0)) / np.sqrt(2.0)) if known else np.nan
     return float(np.median(spreads)) if spreads else np.nan, sensors
 
 
 def _describe(
     motions: Sequence[RobotLog], standing: Sequence[tuple[float, float]], config: ExperimentConfig
 ) -> list[Finding]:
-    unit = config.simulation.actuators.channels[0].unit
+    unit, _ = sensor_unit(config.simulation.actuators.channels)
     noise = np.array(standing)
     findings = []
     for column, factor, text in ((0, 1e3, "mm of a marker, each axis"), (1, 1.0, f"{unit} of a sensor")):

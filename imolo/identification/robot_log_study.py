@@ -17,7 +17,7 @@ from imolo.identification.evaluation import Bench
 from imolo.identification.experiment import Experiment, Quantity
 from imolo.identification.parameters import Parameter
 from imolo.identification.robot_log_checks import read_logs
-from imolo.identification.robot_logs import QuantityName, actuators_alone, repeatable
+from imolo.identification.robot_logs import QuantityName, actuators_alone, repeatable, sensor_unit
 from imolo.identification.solve import solve
 from imolo.identification.study_config import StudyConfig
 from imolo.messaging.log import LOG_SUFFIX
@@ -58,7 +58,8 @@ class RobotLogStudy(StudyConfig):
         quantities: What is compared: the effector that learns, all other markers, the actuators' sensors.
         duration: How long after the onset [s]; until the effector can no longer meet a ball if not given.
         marker_scale: An error of this size counts one in the loss [m].
-        sensor_scale: Likewise, in the unit of the channels; 2 % of their range if not given.
+        sensor_scale: Likewise, in the unit of the channels, or in % of their ranges if their units differ; 2 % of their
+            range if not given.
         stages: What is fitted first, in this order; each begins where the one before ended.
     """
 
@@ -124,8 +125,10 @@ class RobotLogStudy(StudyConfig):
 
     def _quantities(self, names: Sequence[QuantityName], config: ExperimentConfig) -> tuple[Quantity, ...]:
         channels = config.simulation.actuators.channels
-        scale = self.sensor_scale or SENSOR_SHARE * max(channel.high - channel.low for channel in channels)
-        unit, factor = ("kPa", 1e-3) if channels[0].unit == "Pa" else (channels[0].unit, 1.0)
+        unit, sizes = sensor_unit(channels)
+        spans = [(channel.high - channel.low) / size for channel, size in zip(channels, sizes.tolist(), strict=True)]
+        scale = self.sensor_scale or SENSOR_SHARE * max(spans)
+        unit, factor = ("kPa", 1e-3) if unit == "Pa" else (unit, 1.0)
         known = {
             "effector": Quantity("effector", "mm", 1e3, self.marker_scale),
             "markers": Quantity("markers", "mm", 1e3, self.marker_scale),

@@ -1,7 +1,7 @@
 """Recordings of a robot: our own logs, played again under the same commands."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from imolo.campaigns.motion_recorder import NO_CHANCE
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of
+from imolo.contracts.actuators import Channel
 from imolo.contracts.robot import Body
 from imolo.contracts.trial import EventName
 from imolo.errors import DivergenceError, MessageError, TrainingDataError
@@ -75,7 +76,8 @@ class RobotLog:
         errors = {"effector": off[True], "markers": off[False]}
         result = {name: np.concatenate(parts) for name, parts in errors.items() if parts}
         if len(self.sensor_time):
-            result["sensors"] = _at(self.sensor_time, played.sensor_time - self.stands, played.measured) - self.measured
+            read = _at(self.sensor_time, played.sensor_time - self.stands, played.measured)
+            result["sensors"] = (read - self.measured) / sensor_unit(config.simulation.actuators.channels)[1]
         return result
 
     @property
@@ -136,13 +138,29 @@ class ActuatorLog:
             measured[index] = actuators.measured()
             actuators.target[:] = targets[index]
             actuators.step(angle[index], velocity[index])
-        return {"sensors": _at(log.sensor_time, time, measured) - log.measured}
+        return {"sensors": (_at(log.sensor_time, time, measured) - log.measured) / sensor_unit(channels)[1]}
 
 
 @lru_cache(maxsize=256)
 def actuators_alone(log: RobotLog, body: Body) -> ActuatorLog:
     """Return the actuators of a motion, their joints as the markers show them."""
     return ActuatorLog(log, *log.joint_paths(MarkerFit(body)))
+
+
+def sensor_unit(actuators: Sequence[Channel]) -> tuple[str, Array]:
+    """Return the unit in which sensors are compared, and its size in the unit of each channel, shape (C,).
+
+    That of the channels, or per cent of the largest range in the same unit where they have several.
+    """
+    units = [channel.unit for channel in actuators]
+    if len(set(units)) == 1:
+        return units[0], np.ones(len(units))
+    return "% of range", np.array([largest_range([c for c in actuators if c.unit == unit]) for unit in units]) / 100.0
+
+
+def largest_range(actuators: Sequence[Channel]) -> float:
+    """Return the largest range of channels that have a unit in common."""
+    return max(channel.high - channel.low for channel in actuators)
 
 
 def _targets(commands: Commands, time: Array, rest: list[float], released: list[float]) -> Array:

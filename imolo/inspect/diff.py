@@ -14,11 +14,12 @@ from imolo.inspect.fields import Path as LeafPath
 from imolo.inspect.fields import Value, leaf_name, leaves
 from imolo.inspect.names import Names
 from imolo.inspect.trials import TrialEvents
-from imolo.messaging.channels import CHANNELS, ROBOT
+from imolo.messaging.channels import CHANNELS, ROBOT, TRIAL
 from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogEvent, LogReader
 
 SHOWN = 16  # [bytes] of a message that is not ours
+BACKEND: LeafPath = ("backend",)  # in TRIAL; who played is no difference in what was played
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,11 @@ class Difference:
     utime: int
     field: str
     values: tuple[Value | None, Value | None]
+
+    @property
+    def of_backend(self) -> bool:
+        """Whether it is only the name of who played."""
+        return self.channel == TRIAL and self.field == "backend"
 
     def __str__(self) -> str:
         where = f"{self.channel} message {self.index} at {self.utime * 1e-6:.6f} s"
@@ -74,7 +80,8 @@ class RunComparison:
 
     Attributes:
         channels: Every channel that one of them has.
-        first: The earliest of their first differences; None if all messages are the same.
+        first: Their earliest difference, that of the backend's name only if there is no other; None if all messages
+            are the same.
         same_recording: Whether the messages were also recorded in the same order and at the same times.
     """
 
@@ -190,7 +197,8 @@ def _compare(first: _Run, second: _Run) -> RunComparison:
     compared = tuple(_compare_channel(name, first, second, called) for name in ordered)
     differences = [channel.first for channel in compared if channel.first is not None]
     same = not differences and first.order == second.order
-    return RunComparison(compared, min(differences, key=lambda found: found.utime, default=None), same)
+    earliest = min(differences, key=lambda found: (found.of_backend, found.utime), default=None)
+    return RunComparison(compared, earliest, same)
 
 
 @dataclass
@@ -208,7 +216,7 @@ class _Parting:
     largest_path: LeafPath = ()
 
     def note(self, path: LeafPath, one: Value | None, other: Value | None) -> None:
-        if self.first is None:
+        if self.first is None or self.first[0] == BACKEND:
             self.first = path, one, other
         # Integers are times, counters and names; how far they are apart says nothing beside metres and pascals.
         if isinstance(one, float) and isinstance(other, float):
@@ -225,7 +233,8 @@ def _compare_channel(name: str, first: _Run, second: _Run, names: Names) -> Chan
     for index, (one, other) in enumerate(zip_longest(first.events(name), second.events(name)), same):
         if one is None or other is None:
             numbers = (one and one.number, other and other.number)
-            difference = difference or Difference(name, index, (one or other).utime, "", numbers)
+            if difference is None or difference.of_backend:
+                difference = Difference(name, index, (one or other).utime, "", numbers)
             break
         if one.data and one.data == other.data:
             equal += 1
@@ -239,7 +248,7 @@ def _compare_channel(name: str, first: _Run, second: _Run, names: Names) -> Chan
         else:
             equal += 1
             continue
-        if difference is None:
+        if difference is None or (difference.of_backend and parting.first and parting.first[0] != BACKEND):
             # The bytes differ where no number does: -0.0 is 0.0, or something follows the message.
             path, *values = parting.first or (("bytes",), one.data.hex(), other.data.hex())
             difference = Difference(name, index, one.utime, leaf_name(name, path, names), (values[0], values[1]))

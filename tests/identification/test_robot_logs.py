@@ -1,5 +1,6 @@
 """Logs of a robot: what is read of them, what is refused, and whether they can be played again."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ from recorded_motions import (
 from scipy.spatial.transform import Rotation
 
 from imolo.config.loading import body_of
+from imolo.contracts.actuators import Channel
 from imolo.errors import TrainingDataError
 from imolo.identification.experiment import sizes
 from imolo.identification.joint_angles import MarkerFit
 from imolo.identification.parameters import apply
 from imolo.identification.robot_log_checks import read_logs, usable_motion
-from imolo.identification.robot_logs import actuators_alone, repeatable
+from imolo.identification.robot_log_study import RobotLogStudy
+from imolo.identification.robot_logs import actuators_alone, repeatable, sensor_unit
 from imolo.messaging import channels
 from imolo.messaging.log import Log
 from imolo.trials.recordings import last_plan
@@ -176,3 +179,36 @@ def test_standing_robot_shows_the_noise_of_its_cameras(tmp_path: Path) -> None:
     noise = [finding.value for finding in findings if finding.what == "noise"]
     # From some 24 frames of 12 markers with three axes each: 1 / sqrt(2 * 24 * 3) for the median of them.
     assert noise == pytest.approx([1.0, 1e3], rel=0.1)
+
+
+def test_sensors_of_several_units_are_compared_in_shares_of_their_ranges() -> None:
+    turning = Channel("hip", "rad", -1.0, 1.0), Channel("wrist", "rad", 0.0, 0.5)
+    sliding = Channel("rail", "m", 0.0, 0.4)
+    for channels_of_one, unit in ((turning, "rad"), ((sliding,), "m")):
+        assert (sensor_unit(channels_of_one)[0], set(sensor_unit(channels_of_one)[1])) == (unit, {1.0})
+    unit, sizes = sensor_unit((*turning, sliding))
+    assert (unit, sizes.tolist()) == ("% of range", [0.02, 0.02, 0.004])
+
+
+def test_robot_of_several_units_is_checked_and_compared_in_each_of_them(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if half of the channels were motors whose torques are as large as the others' pressures."""
+    actuators = PLAIN.simulation.actuators
+    given = [replace(one, unit="Pa" if number < 4 else "N·m") for number, one in enumerate(actuators.channels)]
+    monkeypatch.setattr(type(actuators), "channels", property(lambda _: tuple(given)))
+
+    def name_units(message: Any) -> None:
+        message.channel_unit = [channel.unit for channel in given]
+
+    def shrink_torques(state: Any) -> None:
+        state.measured = [*state.measured[:4], *(1e-5 * value for value in state.measured[4:])]
+
+    mixed = changed(log, channels.ROBOT, name_units)
+    with pytest.raises(TrainingDataError, match=r"N·m; record N·m"):
+        usable(changed(mixed, channels.ACTUATOR_STATE, shrink_torques))
+    span = given[0].high - given[0].low
+    off = usable(mixed).play(PLAIN)["sensors"]
+    assert sizes({"sensors": off})["sensors"] == pytest.approx(1e3 * np.sqrt(2 * 8) / (span / 100.0), rel=0.2)
+    (quantity,) = RobotLogStudy.model_construct(sensor_scale=None)._quantities(["sensors"], PLAIN)
+    assert (quantity.unit, quantity.factor, quantity.scale) == ("% of range", 1.0, pytest.approx(2.0))

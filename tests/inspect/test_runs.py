@@ -15,7 +15,7 @@ from imolo.inspect.series import Series, read_series
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log_file import LogEvent, read_events
-from imolo_msgs import actuator_state_t, marker_t, mocap_frame_t, robot_t, truth_ball_t
+from imolo_msgs import actuator_state_t, marker_t, mocap_frame_t, robot_t, trial_event_t, truth_ball_t
 
 
 def changed(events: list[LogEvent], channel: str, index: int, field: str, element: int, by: float) -> list[LogEvent]:
@@ -124,6 +124,30 @@ def test_diff_names_the_message_field_and_time_that_were_changed(
     assert f"they part at {channel} message 40 at {own[40].utime * 1e-6:.6f} s, {field}[{name}]: " in " ".join(
         output.split()
     )
+
+
+def test_runs_of_two_backends_part_where_more_than_their_names_differs(recorded: Recorded) -> None:
+    events = list(read_events(recorded.first))
+
+    def of_dart(event: LogEvent) -> LogEvent:
+        if event.channel != channels.TRIAL:
+            return event
+        message = trial_event_t.decode(event.data)
+        message.backend = "dart"
+        return event._replace(data=message.encode())
+
+    other = [of_dart(event) for event in events]
+    named = compare_runs(events, other).first
+    assert named is not None
+    assert (named.channel, named.index, named.field, named.values) == (channels.TRIAL, 0, "backend", ("mujoco", "dart"))
+    for channel, index, field in ((channels.TRIAL, 2, "event_position"), ("TRUTH_ROBOT", 40, "joint_angle")):
+        found = compare_runs(events, changed(other, channel, index, field, 1, 0.25)).first
+        assert found is not None
+        assert (found.channel, found.index, found.field.partition("[")[0]) == (channel, index, field)
+    last = max(number for number, event in enumerate(other) if event.channel == channels.TRIAL)
+    shorter = compare_runs(events, other[:last] + other[last + 1 :]).first
+    assert shorter is not None
+    assert (shorter.channel, shorter.field) == (channels.TRIAL, "")
 
 
 def test_message_that_only_one_run_has_is_named(recorded: Recorded, tmp_path: Path) -> None:
