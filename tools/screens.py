@@ -195,8 +195,10 @@ def picture_of_view(page: Path, out: Path, width: int, height: int, share: float
         await browser.until(ready + " !== null")
         await browser.run("document.querySelector('button').click()")
         left, top, length = await browser.run(track)
-        await browser.click(left + share * length, top)
-        await browser.until(f"{now} < 0.01")
+        # A page that is busy drawing loses a click.
+        while not await browser.run(f"{now} < 0.01"):
+            await browser.click(left + share * length, top)
+            await asyncio.sleep(1.0)
         await browser.run(close)
         await asyncio.sleep(3.0)
         await browser.picture(out)

@@ -119,7 +119,7 @@ def test_missing_ode_ends_in_one_line_that_says_how_to_get_it(
     run: Run, monkeypatch: pytest.MonkeyPatch, wrong: ModuleType | None
 ) -> None:
     monkeypatch.setitem(sys.modules, "ode", wrong)
-    for module in ("ode_engine", "ode_model", "ode_step", "ode_library"):
+    for module in ("ode_engine", "ode_model", "ode_step", "ode_c", "ode_library"):
         monkeypatch.delitem(sys.modules, f"imolo_backends.engines.{module}", raising=False)
     Path("experiment.yaml").write_text("backend: {name: ode}\n", encoding="utf-8")
     code, _, errors = run("compare", "experiment.yaml")

@@ -17,7 +17,8 @@ from imolo_backends.compiled import CFunction, c_function
 from imolo_backends.engines import ode_step
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import check_value
-from imolo_backends.engines.ode_library import ask, body_id, ode, view
+from imolo_backends.engines.ode_c import ask, body_id, view
+from imolo_backends.engines.ode_library import ode
 from imolo_backends.engines.ode_model import OdeRobot, make_ball
 from imolo_backends.engines.ode_step import read_joints
 from imolo_backends.simulation.simulated import simulated_plugin

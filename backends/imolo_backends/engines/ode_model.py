@@ -9,7 +9,8 @@ from imolo.contracts.engine import Array, Ball, Scene
 from imolo.contracts.urdf import CollisionShape, Joint, RobotModel
 from imolo.errors import BackendError
 from imolo_backends.engines.engine_checks import Body, base_rotation, check_value
-from imolo_backends.engines.ode_library import body_id, joint_id, ode, view
+from imolo_backends.engines.ode_c import body_id, joint_id, view
+from imolo_backends.engines.ode_library import ode
 from imolo_backends.engines.rigid_parts import find_places, merge_fixed
 
 # pyode's constants from FMax on are those of an older ODE: its ParamStopERP sets the bounce of ODE 0.16.

@@ -10,7 +10,8 @@ from numba import carray, cfunc, njit, types
 from numpy.typing import NDArray
 
 from imolo.contracts.engine import Array
-from imolo_backends.engines.ode_library import LIBRARY, ode
+from imolo_backends.engines.ode_c import LIBRARY
+from imolo_backends.engines.ode_library import ode
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
 SLIDING = 1e-6  # [m/s] slower than this, a contact sticks and has no direction of sliding
