@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from imolo.config.experiment import ExperimentConfig, ParallelConfig
-from imolo.config.loading import body_of, config_for
+from imolo.config.loading import body_of, make_config
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.identification.evaluation import Bench
 from imolo.identification.facts import ONSET, Motion, unseen_motions
@@ -25,12 +25,15 @@ from imolo.identification.robot_log_study import RobotLogStudy
 from imolo.identification.robot_logs import repeatable
 from imolo.identification.solve import interval
 from imolo.identification.study import fit_parameters
+from imolo.identification.study_file import load_study
 from imolo.messaging.log import LOG_SUFFIX
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
 from imolo.trials.trial import run_trial
 
 ENGINES = ("mujoco", "pybullet", "dart")
-TIMESTEP = 4e-4  # [s] for truth and fit alike
+STUDY = load_study(Path(__file__).parents[1] / "configs" / "studies" / "liberobot_paper.yaml")
+ASSUMED = {key: STUDY.config[key] for key in ("robot", "simulation")}  # type: ignore[union-attr, index]
+"""Liberobot as it was first assumed, for truth and fit alike."""
 UNSEEN = 40
 AIR = (
     "tube_length",
@@ -95,7 +98,7 @@ class Twin:
 
 def hide(engine: str, robot: int, hidden: Mapping[str, float] = HIDDEN) -> tuple[ExperimentConfig, dict[str, float]]:
     """Return a config of an engine whose settings are drawn, and the settings."""
-    config = config_for(engine, simulation={"timestep": TIMESTEP})
+    config = make_config({**ASSUMED, "backend": {"name": engine}})
     chance = np.random.default_rng([robot, ENGINES.index(engine)])
     settings = {
         path: read_setting(config, path) * factor ** chance.uniform(-1.0, 1.0) for path, factor in hidden.items()
@@ -147,7 +150,7 @@ def fit_twin(
         kind="robot_logs",
         data=logs,
         engines=(fitted,),
-        config={"simulation": {"timestep": TIMESTEP}},
+        config=ASSUMED,
         parameters={path: RANGES.get(path, ParameterConfig()) for path in hidden},
         evaluations=evaluations,
         halve_timestep=False,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.twins import Twin, fit_twin
+from benchmarks.twins import ASSUMED, Twin, fit_twin
 from imolo.config.experiment import ParallelConfig
 from imolo.identification.evaluation import Bench
 from imolo.identification.parameters import ParameterConfig
@@ -42,7 +42,7 @@ def test_the_actuators_alone_bring_their_settings_near_without_an_engine(twin: t
         kind="robot_logs",
         data=folder / "mujoco_1",
         engines=("mujoco",),
-        config={"simulation": {"timestep": 4e-4}},
+        config=ASSUMED,
         parameters={path: ParameterConfig() for path in paths},
     )
     experiment = study.experiment(Path())
