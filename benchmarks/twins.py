@@ -20,6 +20,7 @@ from imolo.config.loading import body_of, make_config
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.identification.evaluation import Bench
 from imolo.identification.facts import ONSET, Motion, unseen_motions
+from imolo.identification.facts_study import FactsStudy
 from imolo.identification.parameters import ParameterConfig, apply, read_setting
 from imolo.identification.robot_log_study import RobotLogStudy
 from imolo.identification.robot_logs import repeatable
@@ -32,7 +33,8 @@ from imolo.trials.trial import run_trial
 
 ENGINES = ("mujoco", "pybullet", "dart")
 STUDY = load_study(Path(__file__).parents[1] / "configs" / "studies" / "liberobot_paper.yaml")
-ASSUMED = {key: STUDY.config[key] for key in ("robot", "simulation")}  # type: ignore[union-attr, index]
+assert isinstance(STUDY, FactsStudy)
+ASSUMED = {key: STUDY.config[key] for key in ("robot", "simulation")}
 """Liberobot as it was first assumed, for truth and fit alike."""
 UNSEEN = 40
 AIR = (

@@ -169,7 +169,7 @@ class HitChooser:
             raise ConfigError(f"hit.coarse is {coarse}; give {count} numbers, one per parameter of the motion")
         self._coarse = np.maximum(1, swings.size // np.array(coarse))
         self._extent = Extent(
-            # What meets a plate seen from its edge is a bar with round ends; the largest rectangle in it.
+            # What meets a plate seen from its edge is a bar with round ends: its largest rectangle (docs/choice.md).
             0.5 * config.effector_width + 0.5 * config.ball_radius,
             math.sqrt(0.75) * config.ball_radius,
             config.timing_std**2,

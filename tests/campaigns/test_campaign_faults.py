@@ -10,53 +10,23 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import lcm
 import pytest
+from instant_trials import CONFIG, TRIALS, play_at_once, tasks
 from matplotlib.figure import Figure
 from requirements import needs
 from tries import tries
 
-from imolo.campaigns import campaign, kept_trials
-from imolo.campaigns.campaign import TrialTask, log_name, run_tasks
+from imolo.campaigns import campaign
+from imolo.campaigns.campaign import TrialTask, run_tasks
 from imolo.campaigns.kept_trials import TrialTiming, partial_path, set_aside
 from imolo.campaigns.results import ResultsFolder
-from imolo.config.experiment import PluginConfig
-from imolo.config.loading import config_for
-from imolo.contracts import provenance
-from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.errors import BusError, ImoloError, ResultsError
 from imolo.machine.files import whole_file, write_whole
-from imolo.messaging import channels
-from imolo_msgs import trial_event_t
-
-TRIALS = 3
-CONFIG = config_for("mujoco")
-EVENTS = 400  # some 30 kB
-
-
-def play_at_once(task: TrialTask) -> TrialTiming:
-    """Write the log of a trial, by its index alone."""
-    task.log_path.parent.mkdir(parents=True, exist_ok=True)
-    log = lcm.EventLog(str(task.log_path), "w", overwrite=True)
-    try:
-        for number in range(EVENTS):
-            event = trial_event_t()
-            event.utime, event.trial = number * 1000, task.trial.index
-            event.event = (EventName.END if number == EVENTS - 1 else EventName.START).value
-            log.write_event(event.utime, channels.TRIAL, event.encode())
-    finally:
-        log.close()
-    return TrialTiming(simulated=0.4, elapsed=0.001, decisions=(0.1 * task.trial.index,))
 
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "run_task", play_at_once)
-
-
-def tasks(folder: Path) -> list[TrialTask]:
-    trials = [Trial(TrialKind.THROW, index, CONFIG.seed) for index in range(TRIALS)]
-    return [TrialTask(CONFIG, trial, folder / log_name(trial)) for trial in trials]
 
 
 def play_campaign(path: Path) -> None:
@@ -368,62 +338,3 @@ def test_number_of_a_void_log_comes_once(tmp_path: Path) -> None:
             names[-1].unlink()
     assert len(set(names)) == 4
     assert [path.read_text() for path in names if path.exists()] == ["1", "3"]
-
-
-# Where logs come from.
-
-
-@pytest.mark.parametrize("key", ["blas", "processor"])
-def test_trials_of_another_arithmetic_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str) -> None:
-    run_tasks(tasks(tmp_path), jobs=1)
-    monkeypatch.setattr(campaign, "environment", lambda: kept_trials.environment() | {key: "another"})
-    with pytest.raises(ResultsError, match=f"is of another {key}; give another --out"):
-        run_tasks(tasks(tmp_path), jobs=1)
-
-
-def test_kernel_of_the_linear_algebra_is_told_as_it_is() -> None:
-    program = "from imolo.contracts.provenance import arithmetic; print(arithmetic()['blas'])"
-    said = {
-        subprocess.run(
-            [sys.executable, "-c", program],
-            env={**os.environ, "OPENBLAS_CORETYPE": core},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for core in ("Nehalem", "Sandybridge")
-    }
-    assert len(said) == 2
-
-
-PLUGIN = "from imolo_backends.engines.mujoco_engine import BACKEND\n"
-
-
-def test_plug_in_that_was_changed_is_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "site/toy"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text("")
-    (package / "engine.py").write_text(PLUGIN)
-    about = tmp_path / "site/toy_engine-1.5.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-engine\nVersion: 1.5\n")
-    (about / "entry_points.txt").write_text("[imolo.backends]\ntoy = toy.engine:BACKEND\n")
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    config = CONFIG.model_copy(update={"backend": PluginConfig(name="toy")})
-    chosen = [TrialTask(config, task.trial, task.log_path) for task in tasks(tmp_path / "out")]
-
-    def forget() -> None:
-        provenance.provenance.cache_clear()
-        provenance.digest_of_packages.cache_clear()
-
-    forget()
-    found = provenance.provenance("imolo.backends", "toy")
-    assert (found.distribution, found.version) == ("toy-engine", "1.5")
-    run_tasks(chosen, jobs=1)
-    run_tasks(chosen, jobs=1)
-    # Data of a plug-in shapes its trials too.
-    (package / "robot.xml").write_text("<robot/>")
-    forget()
-    with pytest.raises(ResultsError, match="is of another backend code; give another --out"):
-        run_tasks(chosen, jobs=1)
-    forget()
