@@ -7,7 +7,7 @@ import pytest
 import yaml
 from command_line import Run
 
-from benchmarks.twins import hide, record
+from benchmarks.twins import ASSUMED, hide, record
 from imolo.config.loading import config_for
 from imolo.config.yaml_file import dump_yaml
 from imolo.errors import ConfigError, TrainingDataError
@@ -79,7 +79,7 @@ def test_logs_are_fitted_judged_and_written_as_a_part_of_a_config(tmp_path: Path
     config, settings = hide("mujoco", 2, {path: 1.6})
     record(config, tmp_path / "logs", 10, seed=2)
     few = {"training": 5, "evaluations": 8, "halve_timestep": False, "quantities": ["effector"]}
-    study = written(tmp_path, engines=["mujoco"], parameters={path: {}}, **few)
+    study = written(tmp_path, engines=["mujoco"], config=ASSUMED, parameters={path: {}}, **few)
     code, said, errors = run("identify", study, "--out", tmp_path / "out", "--jobs", 1)
     assert code == 0, said + errors
     found = yaml.safe_load((tmp_path / "out/patches/mujoco.yaml").read_text())
