@@ -208,7 +208,7 @@ class _Reports(logging.Handler):
         self.utimes: list[int] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.msg.startswith("no camera frame"):
+        if record.getMessage().startswith("no camera frame"):
             self.utimes.append(record.args[-1])  # type: ignore[index, arg-type]
 
 
