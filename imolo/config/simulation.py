@@ -28,6 +28,7 @@ class BallConfig(Model):
     radius: Positive = Field(0.045, description="[m], Sec. VII-A")
     mass: Positive = Field(0.010, description="[kg], Sec. VII-A")
     drag_coefficient: NonNegative = Field(0.45, description="of a sphere [-], assumed: subcritical flow")
+    lift_slope: NonNegative = Field(1.0, description="lift coefficient over r ω / v [-], assumed: of slow spins")
     air_density: NonNegative = Field(1.2, description="of the room [kg/m³]")
 
 
@@ -68,6 +69,11 @@ class ThrowerConfig(Model):
     flight_time_spread: NonNegative = Field(0.04, description="half range of it [s], assumed")
     speed_scatter: NonNegative = Field(0.01, description="sd of the speed, relative [-], assumed: repeatability")
     angle_scatter: NonNegative = Field(0.005, description="sd of the two angles [rad], assumed: repeatability")
+    topspin: Annotated[float, Searched(-60.0, 60.0, "linear")] = Field(
+        0.0,
+        description="of the ball [rad/s], below 0 backspin; the throws that a ball model is learned from have none",
+    )
+    spin_scatter: NonNegative = Field(0.0, description="sd of the spin, each axis, of every throw [rad/s]")
     hold_time: tuple[NonNegative, NonNegative] = Field((0.05, 0.10), description="range of the wait before release [s]")
 
     @model_validator(mode="after")

@@ -31,11 +31,13 @@ class Throw:
         position: Where it is released [m], shape (3,).
         velocity: With which it is released [m/s], shape (3,).
         release_time: Time since the start of the trial [s].
+        lift: Of its spin: l in F = l × v, the force of the air beside the drag [kg/s], shape (3,).
     """
 
     position: Array
     velocity: Array
     release_time: float
+    lift: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from scipy.stats import qmc
 
 from imolo.config.experiment import ExperimentConfig
 from imolo.config.loading import body_of, create_task
+from imolo.contracts.task import Throw
 from imolo.contracts.trial import Trial, TrialKind
 from imolo.errors import TrainingDataError
 from imolo.method.forward_model import ForwardModel, TrainingData
@@ -188,7 +189,7 @@ def _answered(config: ExperimentConfig, table: LookupTable, balls: int) -> float
     answered = 0
     for index in range(balls):
         throw = task.throw(Trial(TrialKind.HIT, index, config.seed))
-        path = _flight(throw.position, throw.velocity, task.drag() / task.ball.mass, step)
+        path = _flight(throw, task.drag() / task.ball.mass, throw.lift / task.ball.mass, step)
         times = np.arange(len(path)) * step
         first = round(SEEN / step)
         answered += any(
@@ -197,15 +198,16 @@ def _answered(config: ExperimentConfig, table: LookupTable, balls: int) -> float
     return answered / balls
 
 
-def _flight(position: Array, velocity: Array, drag: float, step: float) -> Array:
-    """Return the ball at every frame until it lands [m], shape (N, 3); drag is that of quadratic air drag [1/m]."""
+def _flight(throw: Throw, drag: float, lift: Array, step: float) -> Array:
+    """Return the ball at every frame until it lands [m], shape (N, 3), with drag [1/m] and lift [1/s], shape (3,)."""
     substeps = max(1, round(step / FLIGHT_STEP))
     small = step / substeps
     gravity = np.array([0.0, 0.0, -9.81])
+    position, velocity, turn = throw.position, throw.velocity, np.cross(lift, -np.eye(3))
     path = [position]
     while path[-1][2] > 0.0 and len(path) * step < LONGEST_FLIGHT:
         for _ in range(substeps):
-            acceleration = gravity - drag * np.linalg.norm(velocity) * velocity
+            acceleration = gravity + turn @ velocity - drag * np.linalg.norm(velocity) * velocity
             position = position + velocity * small + 0.5 * acceleration * small**2
             velocity = velocity + acceleration * small
         path.append(position)

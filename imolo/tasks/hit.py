@@ -12,7 +12,7 @@ from imolo.contracts.task import Task, TaskPlugin, Throw, Verdict
 from imolo.contracts.trial import EventName, Trial, TrialKind
 from imolo.messaging import channels
 from imolo.messaging.log import Log
-from imolo.tasks.thrower import drag_of, draw_throw, held_at
+from imolo.tasks.thrower import by_hand, drag_of, draw_throw, held_at
 from imolo_msgs import trial_event_t
 
 ENDS = (EventName.TOUCH, EventName.BALL_LANDED)
@@ -40,6 +40,8 @@ class HitTask:
         thrower = self._config.thrower
         if trial.kind is TrialKind.TRAINING:
             return Throw(held_at(thrower, trial.index), np.zeros(3), math.inf)
+        if trial.kind is TrialKind.THROW:
+            thrower = by_hand(thrower)
         return draw_throw(thrower, self._config.ball, trial.index, trial.generator("throw"))
 
     def drag(self) -> float:

@@ -26,14 +26,22 @@ def draw_throw(thrower: ThrowerConfig, ball: BallConfig, index: int, rng: np.ran
     position = held_at(thrower, index)
     aim_point = np.array(thrower.aim_center) + rng.uniform(-1.0, 1.0, 3) * np.array(thrower.aim_spread)
     flight_time = thrower.flight_time + rng.uniform(-1.0, 1.0) * thrower.flight_time_spread
-    velocity = aimed_velocity(ball, position, aim_point, flight_time)
+    spin = thrower.topspin * _across(aim_point - position)
+    velocity = aimed_velocity(ball, position, aim_point, flight_time, lift_of(ball, spin))
     speed = np.linalg.norm(velocity) * (1.0 + rng.normal(0.0, thrower.speed_scatter))
     elevation = math.asin(velocity[2] / np.linalg.norm(velocity)) + rng.normal(0.0, thrower.angle_scatter)
     azimuth = math.atan2(velocity[1], velocity[0]) + rng.normal(0.0, thrower.angle_scatter)
     direction = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
-    return Throw(position, speed * direction, rng.uniform(*thrower.hold_time))
+    release_time = rng.uniform(*thrower.hold_time)
+    spin = spin + rng.normal(0.0, thrower.spin_scatter, 3)
+    return Throw(position, speed * direction, release_time, lift_of(ball, spin))
+
+
+def by_hand(thrower: ThrowerConfig) -> ThrowerConfig:
+    """Return how the balls are thrown that a ball model is learned from: not by the machine, so without its topspin."""
+    return thrower.model_copy(update={"topspin": 0.0})
 
 
 def held_at(thrower: ThrowerConfig, index: int) -> Array:
@@ -41,14 +49,17 @@ def held_at(thrower: ThrowerConfig, index: int) -> Array:
     return np.array(thrower.positions[index % len(thrower.positions)])
 
 
-def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_time: float) -> Array:
-    """Return the release velocity with which the ball, slowed by the air, is at the aim point after the flight time.
+def aimed_velocity(
+    ball: BallConfig, position: Array, aim_point: Array, flight_time: float, lift: Array | None = None
+) -> Array:
+    """Return the release velocity with which the ball is at the aim point after the flight time in the air.
 
     Args:
         ball: Gives mass and drag.
         position: Release point [m], shape (3,).
         aim_point: [m], shape (3,).
         flight_time: [s].
+        lift: l in F = l × v [kg/s], shape (3,); none if not given.
 
     Returns:
         Velocity [m/s], shape (3,).
@@ -57,10 +68,12 @@ def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_t
         ConfigError: There is none.
     """
     drag = drag_of(ball) / ball.mass
+    turn = np.zeros(3) if lift is None else lift / ball.mass
 
     def derivative(_: float, state: Array) -> Array:
         velocity = state[3:]
-        acceleration = -drag * np.linalg.norm(velocity) * velocity - np.array([0.0, 0.0, GRAVITY])
+        acceleration = np.cross(turn, velocity) - drag * np.linalg.norm(velocity) * velocity
+        acceleration[2] -= GRAVITY
         return np.concatenate((velocity, acceleration))
 
     def miss(velocity: Array) -> Array:
@@ -83,3 +96,21 @@ def aimed_velocity(ball: BallConfig, position: Array, aim_point: Array, flight_t
 def drag_of(ball: BallConfig) -> float:
     """Return the force of the air over the square of the speed, ½ ρ Cd A [kg/m]."""
     return 0.5 * ball.air_density * ball.drag_coefficient * math.pi * ball.radius**2
+
+
+def lift_of(ball: BallConfig, spin: Array) -> Array:
+    """Return l in F = l × v, the lift ½ ρ A Cl |v|² of a ball that spins with ω, where Cl = slope · r |ω| / |v|.
+
+    Args:
+        ball: The ball.
+        spin: ω [rad/s], shape (3,).
+
+    Returns:
+        l [kg/s], shape (3,).
+    """
+    return np.asarray(0.5 * ball.air_density * ball.lift_slope * math.pi * ball.radius**3 * spin)
+
+
+def _across(way: Array) -> Array:
+    """Return the axis, shape (3,), about which a ball turns that rolls a way [m], shape (3,), on level ground."""
+    return np.array([-way[1], way[0], 0.0]) / max(math.hypot(way[0], way[1]), 1e-12)

@@ -22,7 +22,7 @@ from imolo.errors import DivergenceError, MessageError
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.method.commands import Commands
-from imolo_backends.simulation.ball_drag import BallDrag
+from imolo_backends.simulation.ball_air import BallAir
 from imolo_backends.simulation.command_schedule import CommandSchedule
 from imolo_backends.simulation.mocap import Mocap
 from imolo_backends.simulation.start_up import check_start_up
@@ -93,7 +93,7 @@ class SimulatedBackend:
             body.joint_limits, np.array(scene.joint_angle), config.timestep, drawn
         )
         self._channels = config.actuators.channels
-        self._air = BallDrag(task.drag())
+        self._air = BallAir(task.drag(), throw.lift)
         self._air.force[:] = 0.0 - ball.mass * np.array(scene.gravity)  # holds the ball
         self._take_steps = stepping(self._engine, self._actuators, self._air)
         self._schedule = CommandSchedule(self._channels)

@@ -8,12 +8,12 @@ from numba import njit, typeof
 from imolo.contracts.actuators import Actuators
 from imolo.contracts.engine import Array, Engine
 from imolo_backends.compiled import CFunction, CompiledStep, call, twin
-from imolo_backends.simulation.ball_drag import BallDrag, set_force
+from imolo_backends.simulation.ball_air import BallAir, set_force
 
 Stepping = Callable[[int, bool], None]
 
 
-def stepping(engine: Engine, actuators: Actuators, air: BallDrag) -> Stepping:
+def stepping(engine: Engine, actuators: Actuators, air: BallAir) -> Stepping:
     """Return what takes a number of steps, and whether the ball flies or `air.force` stays as it is.
 
     What an engine and actuators offer as compiled code runs in one call, up to the next touch of the ball.
@@ -38,8 +38,8 @@ def stepping(engine: Engine, actuators: Actuators, air: BallDrag) -> Stepping:
     return run
 
 
-def _compiled(law: CFunction, torque: Array, air: BallDrag, ball_velocity: Array, step: CompiledStep) -> Stepping:
-    acting = (*law, torque, step.joint_torque, air.force, step.ball_force, air.drag, ball_velocity)
+def _compiled(law: CFunction, torque: Array, air: BallAir, ball_velocity: Array, step: CompiledStep) -> Stepping:
+    acting = (*law, torque, step.joint_torque, air.force, step.ball_force, air.drag, air.lift, ball_velocity)
     stepping = (*acting, *step.function, step.ball_reaction)
     # As of now: to find the types of so many arguments out again would cost more than a step's actuators.
     take_steps = _take_steps.compile(tuple(map(typeof, (1, True, *stepping))))
@@ -64,6 +64,7 @@ def _take_steps(
     ball_force: Array,
     engine_ball_force: Array,
     drag: float,
+    lift: Array,
     ball_velocity: Array,
     step: int,
     step_arguments: tuple[Any, ...],
@@ -73,7 +74,7 @@ def _take_steps(
     for done in range(1, steps + 1):
         call(law, law_arguments)
         if flies:
-            set_force(ball_force, drag, ball_velocity)
+            set_force(ball_force, drag, lift, ball_velocity)
         engine_torque[:] = joint_torque
         engine_ball_force[:] = ball_force
         call(step, step_arguments)
