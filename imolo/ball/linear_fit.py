@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 from scipy.special import factorial
 
 from imolo.ball.flight import LEAST_NOISE, Flight
-from imolo.ball.linear import LinearBallModel, Structure, exponential, logarithm
+from imolo.ball.linear import LinearBallModel, Structure, exponential
 from imolo.ball.model import BallModelConfig
 
 Array = NDArray[np.float64]
 
 SERIES_TERMS = 40  # of exp(C t) in the fit; at a rate of 10 /s exact to 1e-9 m over 1 s
-JITTER = 0.2  # of the time between frames: what differs by more is a lost frame
 SHRINKAGE = 1e-4  # [m·s] keeps rates near zero that two or three flights say nothing of; well below 1 mm otherwise
 
 
@@ -26,8 +25,6 @@ def fit_linear(flights: Sequence[Flight], structure: Structure, config: BallMode
     trajectories = _TrajectoryFit(flights)
     rates = _whole_flights(trajectories, structure)
     constant, errors = trajectories.solve(rates)
-    if config.estimation == "one_step":
-        rates, constant = _one_step(flights, structure)
     generator = np.zeros((7, 7))
     generator[:3, 3:6], generator[3:6, 3:6], generator[3:6, 6] = np.eye(3), rates, constant
     affine = exponential(generator * config.time_step)
@@ -59,30 +56,6 @@ def _whole_flights(trajectories: "_TrajectoryFit", structure: Structure) -> Arra
 
     solution = least_squares(residuals, np.zeros(len(entries[0])), method="lm", xtol=1e-12)
     return rates(solution.x)
-
-
-def _one_step(flights: Sequence[Flight], structure: Structure) -> tuple[Array, Array]:
-    """Return C [1/s], shape (3, 3), and d [m/s²], shape (3,), of least squares from one sample to the next.
-
-    Velocities are differenced over two frames. Their noise makes those that a step starts from seem to matter less
-    than they do, so that the ball seems to be braked more.
-    """
-    frame = float(np.median(np.concatenate([np.diff(flight.time) for flight in flights])))
-    before, after = [], []
-    for flight in flights:
-        time, position = flight.time, flight.position
-        velocity = (position[2:] - position[:-2]) / (time[2:] - time[:-2])[:, None]
-        near = np.abs(np.diff(time) - frame) < JITTER * frame
-        whole = near[:-2] & near[1:-1] & near[2:]
-        before.append(velocity[:-1][whole])
-        after.append(velocity[1:][whole])
-    start, end = np.concatenate(before), np.concatenate(after)
-    step, ones = np.eye(4), np.ones((len(start), 1))
-    for axis in range(3):
-        used = [axis] if structure == "diagonal" else [0, 1, 2]
-        step[axis, [*used, 3]] = np.linalg.lstsq(np.hstack([start[:, used], ones]), end[:, axis], rcond=None)[0]
-    generator = logarithm(step) / frame
-    return generator[:3, :3], generator[:3, 3]
 
 
 class _TrajectoryFit:

@@ -26,11 +26,6 @@ class BallModelConfig(Model):
         "auto",
         description="of the linear model: v' = diag(a) v + b, v' = M v + b, or what predicts left-out throws better",
     )
-    estimation: Literal["whole_flights", "one_step"] = Field(
-        "whole_flights",
-        description="of the linear model: least squares of whole flights, or from one sample to the next, with "
-        "velocities differenced over two frames",
-    )
     horizons: tuple[Positive, ...] = Field((0.25, 0.50, 0.75), description="lead times of the report [s], Sec. VII-C")
     selection_horizon: Positive = Field(
         0.50,
