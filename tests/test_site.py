@@ -1,19 +1,22 @@
-"""The reference of the site says everything: keys with their meaning, messages, commands, names of the contracts."""
+"""The site: its reference says everything, and its pages suit all eyes and a phone."""
 
 import importlib
 import inspect
 import pkgutil
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import typer.main
+from requirements import needs
 
 import imolo.contracts
 from imolo.command_line.main import app
 from imolo.messaging.channels import CHANNELS
+from tools.screens import Browser, browse
 from tools.site import command_line, configuration, messages
 
 ROOT = Path(__file__).parents[1]
@@ -69,13 +72,63 @@ def public_names(module: ModuleType) -> list[str]:
     ]
 
 
-@pytest.mark.slow
-def test_site_is_built_without_a_warning_and_holds_every_public_name_of_the_contracts(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", ROOT / "docs", tmp_path]
-    built = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the site, built without a warning."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", ROOT / "docs", folder]
+    built = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     assert built.returncode == 0, built.stderr
-    text = "".join(page.read_text(encoding="utf-8") for page in (tmp_path / "reference/api").glob("*.html"))
+    return folder
+
+
+@pytest.mark.slow
+def test_site_holds_every_public_name_of_the_contracts(site: Path) -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in (site / "reference/api").glob("*.html"))
     package = imolo.contracts
     for found in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         for name in public_names(importlib.import_module(found.name)):
             assert f'id="{name}"' in text, name
+
+
+LOOK = """(async () => {
+  const found = [], size = (element) => parseFloat(getComputedStyle(element).fontSize);
+  const { scrollWidth, clientWidth } = document.documentElement;
+  if (scrollWidth > clientWidth) found.push(`${scrollWidth} px wide`);
+  for (const element of document.querySelectorAll("body *")) {
+    const says = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
+    const small = says && element.getClientRects().length && size(element) < 9;
+    if (small) found.push(`small: ${element.outerHTML.slice(0, 200)}`);
+  }
+  return found;
+})()"""
+AXE = """(async () => {
+  const { violations } = await axe.run(document, %s);
+  return violations
+    .filter((one) => ["serious", "critical"].includes(one.impact))
+    .map((one) => `${one.id}: ${one.nodes[0].html.slice(0, 200)}`);
+})()"""
+IN_LIGHT, IN_DARK = AXE % '{ resultTypes: ["violations"] }', AXE % '{ runOnly: ["color-contrast"] }'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mark", [pytest.param(None, marks=needs("chromium", "axe"))], ids=["axe"])
+def test_every_page_is_accessible_and_fits_a_phone(site: Path, mark: None) -> None:
+    """No serious finding of axe-core, in light or dark; at 390 px no text below 9 px, and no scrolling sideways."""
+    axe = files("axe_core_python").joinpath("axe.min.js").read_text(encoding="utf-8")
+    pages = sorted(site.rglob("*.html"))
+
+    async def look(browser: Browser) -> dict[str, list[str]]:
+        found = {}
+        for page in pages:
+            await browser.color_scheme("light")
+            await browser.open(page)
+            await browser.run(axe)
+            said = await browser.run(LOOK) + await browser.run(IN_LIGHT)
+            await browser.color_scheme("dark")
+            found[str(page.relative_to(site))] = said + await browser.run(IN_DARK)
+        return found
+
+    found = browse(pages[0], 390, 844, look)
+    assert len(found) > 60
+    assert {page: said for page, said in found.items() if said} == {}

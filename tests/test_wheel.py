@@ -29,10 +29,13 @@ def call(*command: object, folder: Path) -> str:
 
 def interpreter(version: str) -> str:
     """Return a Python of this version; empty where there is none that runs."""
-    found = sys.executable if version == HERE else shutil.which(f"python{version}")
-    asked = [found, "-c", "import sys; print(sys.executable)"]
-    ended = subprocess.run(asked, capture_output=True, text=True) if found else None
-    return ended.stdout.strip() if ended is not None and ended.returncode == 0 else ""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob(f"versions/{version}.*/bin/python")
+    for found in [sys.executable] if version == HERE else [shutil.which(f"python{version}"), *sorted(pyenv)]:
+        asked = [found or "false", "-c", "import sys; print(sys.executable)"]
+        ended = subprocess.run(asked, capture_output=True, text=True)  # a shim of pyenv is there, and runs nothing
+        if ended.returncode == 0:
+            return ended.stdout.strip()
+    return ""
 
 
 @pytest.fixture(scope="session")

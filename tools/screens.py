@@ -90,6 +90,10 @@ class Browser:
         await self.call("Page.navigate", url=address)
         await self.until(f"document.readyState === 'complete' && location.href === {json.dumps(address)}")
 
+    async def color_scheme(self, name: str) -> None:
+        """Be a browser whose user likes pages `light` or `dark`."""
+        await self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
+
     async def click(self, x: float, y: float) -> None:
         """Press and release the mouse there [px]."""
         for kind in ("mousePressed", "mouseReleased"):
@@ -101,7 +105,7 @@ class Browser:
         out.write_bytes(base64.b64decode(answer["data"]))
 
 
-def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitable[Any]], *, dark: bool = False) -> Any:
+def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitable[Any]]) -> Any:
     """Open a page in a window of this size, and return what `act` makes of it."""
 
     async def session(address: str) -> Any:
@@ -117,8 +121,7 @@ def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitab
                 return answer.get("result", {})
 
             browser = Browser(call)
-            scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-            await call("Emulation.setEmulatedMedia", features=[scheme])
+            await browser.color_scheme("light")
             await call(
                 "Emulation.setDeviceMetricsOverride",
                 width=width,

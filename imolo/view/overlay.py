@@ -10,8 +10,9 @@ STYLE = (
     "position:fixed;top:1rem;right:1rem;z-index:9;padding:.5rem .8rem;border-radius:8px;background:#ffffffd9;"
     "color:#1a1c20;font:14px/1.6 system-ui,sans-serif;font-variant-numeric:tabular-nums;pointer-events:none"
 )
-# viser's player counts the seconds that it plays, on its slider; SPEED makes those of the session of them.
-CLOCK = """<script>
+# viser's player counts the seconds that it plays, on its slider; SPEED makes those of the session of them. The field
+# that shows the former is hidden.
+CLOCK = """<style>.mantine-NumberInput-root { display: none; }</style><script>
 setInterval(() => {
   const slider = document.querySelector("[role=slider]");
   const now = slider ? Number(slider.getAttribute("aria-valuenow")) * SPEED : 0;
