@@ -140,10 +140,12 @@ def browse(page: Path, width: int, height: int, act: Callable[[Browser], Awaitab
 @contextmanager
 def _chromium() -> Iterator[str]:
     """Start a browser and yield the address of its page."""
-    with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        program = subprocess.Popen(
+    with (
+        TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        subprocess.Popen(
             [*CHROMIUM, f"--user-data-dir={profile}", "about:blank"], stderr=subprocess.PIPE, text=True
-        )
+        ) as program,
+    ):
         try:
             lines = iter(program.stderr.readline, "") if program.stderr else iter(())
             told = next(line for line in lines if "DevTools listening on" in line)
@@ -153,7 +155,6 @@ def _chromium() -> Iterator[str]:
             yield next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
         finally:
             program.terminate()
-            program.wait(30)
 
 
 def picture_of_page(page: Path, out: Path, width: int, height: int) -> None:
