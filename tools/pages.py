@@ -29,6 +29,7 @@ from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, save_figure, short_names
 from imolo.report.page import write_report
 from imolo.report.sections import SECTIONS
+from imolo.trials.causes import Cause
 from imolo.trials.metrics import HORIZONS, Statistic
 from imolo.view.sessions import recorded_sessions
 from imolo.view.viewer import write_html
@@ -206,6 +207,26 @@ def comparison_table(folder: Path) -> dict[str, Table]:
     return {"comparison": Table(columns=columns, rows=rows)}
 
 
+def balls_tables(folder: Path) -> dict[str, Table]:
+    """Return how many balls were hit, as of a comparison, and why the others were missed."""
+    found = _comparison(folder).results
+    causes = [cause for cause in Cause if any(result.causes[cause] for by in found.values() for result in by.values())]
+    rows = [
+        [
+            SPOKEN.get(backend, backend),
+            method,
+            *(str(result.causes[cause]) for cause in causes),
+            *(f"{place.hits}/{place.balls}" for place in result.positions),
+        ]
+        for backend, methods in found.items()
+        for method, result in methods.items()
+    ]
+    places = range(1, len(rows[0]) - 1 - len(causes))
+    columns = ["backend", "method", *causes, *(f"from {place}" for place in places)]
+    (hits,) = comparison_table(folder).values()
+    return {"balls-hits": hits, "balls-causes": Table(columns=columns, rows=rows)}
+
+
 def _spread(size: Statistic, balls: int = 0) -> str:
     """Return mean ± sd in millimetres; in brackets the number of balls where fewer than half had any."""
     if size.mean is None:
@@ -249,6 +270,7 @@ PAGES = {
         comparison_table,
         draw_figures,
     ),
+    "balls": Page("summary.json", {}, balls_tables),
     "ball": study_page("ball", "ball.json", "ball_prediction.png", "ball.png"),
     "interpolation": study_page("interpolation", "interpolation.json"),
     "transfer": study_page("transfer", "transfer.json"),
