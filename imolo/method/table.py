@@ -185,8 +185,9 @@ class LookupTable:
         Raises:
             ValueError: The position has not three coordinates.
         """
+        point: Any = position.tolist() if isinstance(position, np.ndarray) else position
         try:
-            x, y, z = position.tolist() if isinstance(position, np.ndarray) else position  # type: ignore[str-unpack]
+            x, y, z = point
         except (TypeError, ValueError) as error:
             raise ValueError(f"position is {position!r}; give three coordinates") from error
         row, when, motion = self._nearest(x, y, z, time, *self._done(executed), *self._searched)
@@ -299,8 +300,11 @@ class LookupTable:
 
 def _hand_std(model: ForwardModel, theta: Array, time: Array) -> Array:
     """Return the standard deviation at the middle time of each distinct theta, shape (T, 3)."""
-    motion, index = np.unique(theta, axis=0, return_inverse=True)
-    middle = np.bincount(index.ravel(), weights=time) / np.bincount(index.ravel())
+    # Predictions of one motion follow each other, and there are far fewer of these groups to sort.
+    fresh = np.append(True, (theta[1:] != theta[:-1]).any(axis=1))
+    motion, group = np.unique(theta[fresh], axis=0, return_inverse=True)
+    index = group.ravel()[np.cumsum(fresh) - 1]
+    middle = np.bincount(index, weights=time) / np.bincount(index)
     return HandUncertainty(model).std(motion, middle)
 
 
