@@ -131,6 +131,13 @@ def test_query_finds_what_a_search_of_all_tuples_finds(
         assert hit.time == TABLE.time[hit.tuple_index]
 
 
+def test_whole_numbers_are_asked_for_like_others() -> None:
+    asked = (TABLE.position[0].tolist(), TABLE.time[0].item())
+    hits = [TABLE.query(*asked, Executed(theta, -1.0)) for theta in ((0, 0.3), (0.0, 0.3))]
+    assert hits[0] is not None
+    assert hits[0] == hits[1]
+
+
 def instants(template: PhasedMotion, theta: Theta) -> list[int]:
     """Return onset and ends of the phases since the onset [µs]."""
     return [0, *template.commands(theta, 0).switch_utime]
