@@ -11,7 +11,7 @@ from pydantic import Field, JsonValue, model_validator
 from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.motion import MotionTemplate
-from imolo.method.regressors import PROCESS, GaussianSum, chunks, fit_quietly, gaussian_sum, make_regressor, one_thread
+from imolo.method.regressors import PROCESS, KernelSum, chunks, fit_quietly, kernel_sum, make_regressor, one_thread
 
 Array = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ class ForwardModel:
         self._regressor: Any
         self._input_scaling: _Scaling
         self._output_scaling: _Scaling
-        self._gaussian_sum: GaussianSum | None = None
+        self._kernel_sum: KernelSum | None = None
 
     @property
     def training(self) -> TrainingData:
@@ -221,7 +221,7 @@ class ForwardModel:
                 regressor = clone(regressor).set_params(kernel=regressor.kernel_, optimizer=None)
             regressor.set_params(alpha=noise)
         fit_quietly(regressor, inputs, targets, self.config.estimator)
-        self._regressor, self._gaussian_sum = regressor, gaussian_sum(regressor, inputs)
+        self._regressor, self._kernel_sum = regressor, kernel_sum(regressor, inputs)
         self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training
         return self
 
@@ -240,8 +240,8 @@ class ForwardModel:
         """
         inputs = self._inputs(theta, time)
         with one_thread():
-            if self._gaussian_sum is not None:
-                result = self._gaussian_sum.evaluate(inputs)
+            if self._kernel_sum is not None:
+                result = self._kernel_sum.evaluate(inputs)
             else:
                 result = np.concatenate([self._regressor.predict(inputs[part]) for part in chunks(len(inputs))])
         result = result * self._output_scaling.spread + self._output_scaling.mean

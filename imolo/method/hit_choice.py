@@ -183,7 +183,7 @@ class HitChooser:
             mirrored = max(abs(self._low[1]), abs(self._high[1]))
             self._low[1], self._high[1] = -mirrored, mirrored
         nowhere = BallPath(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3, 3)))
-        self._free = Underway(swings.motion[0], -1.0, False)
+        self._free = Underway((0.0,) * (2 * count), -1.0, False)
         most_probable(nowhere, self._free, True, swings, self._extent, self._coarse)
         most_probable_of(np.zeros(1, dtype=np.int64), nowhere, swings, self._extent)
 
@@ -222,11 +222,11 @@ class HitChooser:
             theta: Of the motion under way.
             elapsed: Time since its onset at which new commands can take effect [s]; negative before the onset.
         """
-        row, elapsed_us = self._row(theta), float(to_microseconds(elapsed))
-        shown = elapsed_us > row[len(theta) :]
-        if shown.all():
+        row, now = self._row(theta), to_microseconds(elapsed)
+        shown = [now > to_microseconds(since) for since in row[len(theta) :]]
+        if all(shown):
             return None
-        underway = Underway(row, elapsed_us, bool(shown.any()))
+        underway = Underway(row, elapsed, any(shown))
         best = most_probable(ball, underway, True, self._swings, self._extent, self._coarse)
         if best.motion < 0:
             return None

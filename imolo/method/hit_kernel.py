@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from imolo.method.motion import Row
 from imolo.method.table_kernel import keeps_executed_part
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ class Swings(NamedTuple):
         size: Number of values of each parameter, shape (n,).
         place: Index of each parameter of each motion, shape (T, n).
         mirror: Mirrored motion, shape (T,); -1 where there is none.
-        motion: As in `table_kernel.keeps_executed_part`, shape (T, 2 n).
+        motion: As `motion.motion_rows` makes them, shape (T, 2 n).
         variance: Of the hand's position along each axis [m²], shape (T, 3).
         start: First tuple of each motion, shape (T + 1,).
         span: Time of its first and last tuple since the onset [s], shape (T, 2).
@@ -91,8 +92,8 @@ class Extent(NamedTuple):
 class Underway(NamedTuple):
     """The executed part of a motion, as `keeps_executed_part` wants it; `begun` tells that it binds a target."""
 
-    motion: Array
-    elapsed_us: float
+    motion: Row
+    elapsed: float
     begun: bool
 
 
@@ -270,7 +271,7 @@ def most_probable(
     """
     best = Found(0.0, -1, -1, -1, 1)
     lattice, size, place, motion_rows = swings.lattice, swings.size, swings.place, swings.motion
-    executed, elapsed = underway.motion, underway.elapsed_us
+    executed, elapsed = underway.motion, underway.elapsed
     # Few motions still fit once a target is bound.
     step = np.ones_like(coarse) if underway.begun else coarse.copy()
     first, last = np.zeros_like(size), size.copy()

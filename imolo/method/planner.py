@@ -191,7 +191,8 @@ class Planner:
         if found is None:
             return None
         commands = self._commands(found.theta, onset)
-        return Decision(found.theta, commands, found.position, onset + to_microseconds(found.time))
+        target = self._table.position[found.tuple_index]
+        return Decision(found.theta, commands, target, onset + to_microseconds(found.time))
 
     def _commands(self, theta: Theta, onset: int) -> Commands:
         before = self._decision

@@ -3,20 +3,20 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numba import float64, typeof
 from numpy.typing import ArrayLike, NDArray
 
 from imolo.errors import ConfigError, ImoloError, TableFileError
-from imolo.method.commands import to_microseconds
 from imolo.method.forward_model import ForwardModel, ForwardModelConfig, TrainingData
 from imolo.method.hand_uncertainty import HandUncertainty
 from imolo.method.hit_choice import group_by_motion
 from imolo.method.hit_kernel import Swings
-from imolo.method.motion import MotionTemplate, PhasedMotion, Theta, motion_rows
+from imolo.method.motion import MotionTemplate, PhasedMotion, Row, Theta, motion_rows
 from imolo.method.prior import fit_forward_model
 from imolo.method.table_file import read_table_file, write_table_file
 from imolo.method.table_grid import TableGrid
@@ -40,21 +40,19 @@ class Executed(NamedTuple):
     elapsed: float
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True)
 class TableHit:
     """A tuple of the table that answers a query.
 
     Attributes:
         theta: Parameter of the motion.
         time: t, time since the onset at which the hand is there [s].
-        position: Grid point in the world frame [m], shape (3,).
         path_index: Which point of the queried path it answers.
         tuple_index: Its row in the table.
     """
 
     theta: Theta
     time: float
-    position: Array
     path_index: int
     tuple_index: int
 
@@ -99,25 +97,27 @@ class LookupTable:
         lowest = cell.min(axis=0)
         self._box = np.concatenate((lowest, cell.max(axis=0) - lowest + 1))
         flat = _flat_index(cell, self._box)
-        order = np.lexsort((time, flat))
+        order = np.lexsort((*theta.T[::-1], time, flat))
         self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
-        self._cell, self.time, self.theta = cell[order], time[order], theta[order]
+        self._cell = cell[order]
         self.position = self._cell * grid.spacing
         self.hand_std = hand_std
         self._spacing = grid.spacing
         self._reach = 0.5 * grid.spacing if grid.match == "sphere" else math.inf
         # As the compiled search takes them.
-        self._cells = np.concatenate((self._box, self._cell_start))
-        self._tuples = np.column_stack((self.time, motion_rows(template, self.theta)))
-        # A motion under way is asked about again and again.
-        self._row = lru_cache(maxsize=4096)(template.row_maker())
-        self._limits = grid.spacing, self._reach, grid.time_tolerance
-        self._nothing = np.zeros(2 * self.theta.shape[1]), -1.0
+        tuples = np.column_stack((time, motion_rows(template, theta)))[order]
+        count = self._count = theta.shape[1]
+        self.time, self.theta = tuples[:, 0], tuples[:, 1 : 1 + count]
+        cells = np.concatenate((self._box, self._cell_start))
+        self._searched = cells, tuples, grid.spacing, self._reach, grid.time_tolerance
+        self._row = template.row_maker()
+        self._nothing = (0.0,) * (2 * count), -1.0
         for array in (self._cell, self.time, self.theta, self.position, self.hand_std):
             array.flags.writeable = False
-        # Compiles the searches now rather than in the middle of a throw.
-        self.query((0.0, 0.0, 0.0), 0.0)
-        self.query_path(np.zeros((1, 3)), np.zeros(1))
+        # Now rather than in the middle of a throw, and once for all: it takes a while to find out what arguments are.
+        types = tuple(map(typeof, (*self._nothing, *self._searched)))
+        self._nearest = nearest_tuple.compile((float64,) * 4 + types)
+        self._first = first_match.compile((float64[:, ::1], float64[::1], *types))
 
     @classmethod
     def build(
@@ -185,12 +185,13 @@ class LookupTable:
         Raises:
             ValueError: The position has not three coordinates.
         """
+        point: Any = position.tolist() if isinstance(position, np.ndarray) else position
         try:
-            x, y, z = map(float, position.tolist() if isinstance(position, np.ndarray) else position)  # type: ignore[arg-type]
+            x, y, z = point
         except (TypeError, ValueError) as error:
             raise ValueError(f"position is {position!r}; give three coordinates") from error
-        row = nearest_tuple(x, y, z, time, self._cells, self._tuples, *self._done(executed), *self._limits)
-        return self._hit(0, row) if row >= 0 else None
+        row, when, motion = self._nearest(x, y, z, time, *self._done(executed), *self._searched)
+        return TableHit(motion[: self._count], when, 0, row) if row >= 0 else None
 
     def query_path(self, positions: ArrayLike, times: ArrayLike, executed: Executed | None = None) -> TableHit | None:
         """Find the first point of a path that a motion reaches in time; each point is a `query`.
@@ -207,8 +208,8 @@ class LookupTable:
         when = np.ascontiguousarray(times, dtype=np.float64)
         if path.shape != (*when.shape, 3):
             raise ValueError(f"positions have shape {path.shape}, times {when.shape}; give (N, 3) and (N,)")
-        point, row = first_match(path, when, self._cells, self._tuples, *self._done(executed), *self._limits)
-        return self._hit(point, row) if row >= 0 else None
+        point, row, at, motion = self._first(path, when, *self._done(executed), *self._searched)
+        return TableHit(motion[: self._count], at, point, row) if row >= 0 else None
 
     def times_at(self, position: ArrayLike) -> Array:
         """Return when the stored motions bring the hand to a position, since the onset [s], shape (N,).
@@ -224,14 +225,9 @@ class LookupTable:
         flat = int(_flat_index(cell.astype(np.int64)[None], self._box)[0])
         return self.time[self._cell_start[flat] : self._cell_start[flat + 1]]
 
-    def _done(self, executed: Executed | None) -> tuple[Array, float]:
-        """Return the row of the motion under way and its elapsed time [µs]; those of none bind nothing."""
-        if executed is None:
-            return self._nothing
-        return self._row(executed.theta), float(to_microseconds(executed.elapsed))
-
-    def _hit(self, point: int, row: int) -> TableHit:
-        return TableHit(tuple(self.theta[row].tolist()), self.time.item(row), self.position[row], point, row)
+    def _done(self, executed: Executed | None) -> tuple[Row, float]:
+        """Return the row of the motion under way and its elapsed time [s]; those of none bind nothing."""
+        return self._nothing if executed is None else (self._row(executed.theta), executed.elapsed)
 
     @cached_property
     def swings(self) -> Swings:
@@ -304,8 +300,11 @@ class LookupTable:
 
 def _hand_std(model: ForwardModel, theta: Array, time: Array) -> Array:
     """Return the standard deviation at the middle time of each distinct theta, shape (T, 3)."""
-    motion, index = np.unique(theta, axis=0, return_inverse=True)
-    middle = np.bincount(index.ravel(), weights=time) / np.bincount(index.ravel())
+    # Predictions of one motion follow each other, and there are far fewer of these groups to sort.
+    fresh = np.append(True, (theta[1:] != theta[:-1]).any(axis=1))
+    motion, group = np.unique(theta[fresh], axis=0, return_inverse=True)
+    index = group.ravel()[np.cumsum(fresh) - 1]
+    middle = np.bincount(index, weights=time) / np.bincount(index)
     return HandUncertainty(model).std(motion, middle)
 
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 from numba import njit
+from numba.cpython.unsafe.tuple import tuple_setitem
 from numpy.typing import NDArray
+
+from imolo.method.motion import Row
 
 
 @njit(cache=True, inline="always")
-def keeps_executed_part(
-    rows: NDArray[np.float64], row: int, first: int, executed: NDArray[np.float64], elapsed_us: float
-) -> bool:
+def keeps_executed_part(rows: NDArray[np.float64], row: int, first: int, executed: Row, elapsed: float) -> bool:
     """Return whether new commands equal the executed ones so far (Fig. 4e); says the same as `Commands.matches_until`.
 
     Two U part where the first of their parameters that differ shows in either of them.
@@ -17,14 +18,15 @@ def keeps_executed_part(
         rows: Motions, shape (M, first + 2 n); a row of their own would be counted by numba for each of them.
         row: The new one.
         first: Where it has theta, then from when on each of its parameters shows in U [µs].
-        executed: The same of the executed motion, shape (2 n,).
-        elapsed_us: Executed time since the onset [µs], negative before it.
+        executed: The executed motion.
+        elapsed: Executed time since the onset [s], negative before it.
     """
     count = len(executed) // 2
     for i in range(count):
-        shown = min(rows[row, first + count + i], executed[count + i])
-        if rows[row, first + i] != executed[i] and elapsed_us > shown:
-            return False
+        if rows[row, first + i] != executed[i]:
+            shown = min(rows[row, first + count + i], np.rint(executed[count + i] * 1e6))
+            if np.rint(elapsed * 1e6) > shown:
+                return False
     return True
 
 
@@ -34,14 +36,14 @@ def nearest_tuple(
     y: float,
     z: float,
     time: float,
+    executed: Row,
+    elapsed: float,
     cells: NDArray[np.int64],
     tuples: NDArray[np.float64],
-    executed: NDArray[np.float64],
-    elapsed_us: float,
     spacing: float,
     reach: float,
     time_tolerance: float,
-) -> int:
+) -> tuple[int, float, Row]:
     """Find the motion that brings the hand to a position in time (Sec. IV-A).
 
     Args:
@@ -49,83 +51,103 @@ def nearest_tuple(
         y: The same.
         z: The same.
         time: When, since the onset [s].
+        executed: As in `keeps_executed_part`; any before the onset.
+        elapsed: As in `keeps_executed_part`.
         cells: Lowest grid index of the box of the table along x, y, z, its number of cells along each, then the first
             tuple of each cell, rows of z, shape (6 + number of cells + 1,).
-        tuples: t [s], theta, then from when on each parameter shows in U [µs], sorted by cell, then by t,
+        tuples: t [s], theta, then from when on each parameter shows in U [µs], sorted by cell, t and theta,
             shape (M, 1 + 2 n).
-        executed: As in `keeps_executed_part`; any before the onset.
-        elapsed_us: As in `keeps_executed_part`.
         spacing: d_grid [m].
         reach: Distance to the nearest grid point that still counts as there, itself excluded [m].
         time_tolerance: Δt [s].
 
     Returns:
-        The tuple nearest in time, of equally near ones the first; -1 if there is none.
+        The tuple nearest in time, of equally near ones the first, its t [s], and its theta followed by n more numbers;
+        -1 and something if there is none.
     """
-    position = (x, y, z)
+    position, found = (x, y, z), executed
     cell, square = 0, 0.0
     for axis in range(3):
         nearest = np.floor(position[axis] / spacing + 0.5)
         square += (position[axis] - nearest * spacing) ** 2
         index = nearest - cells[axis]
         if not 0.0 <= index < cells[axis + 3]:  # also NaN and infinity
-            return -1
+            return -1, 0.0, found
         cell = cell * cells[axis + 3] + int(index)
     # Only the nearest grid point can be nearer than half a cell, so no other cell is searched.
     if not square < reach**2:
-        return -1
-    low, end = cells[6 + cell], cells[7 + cell]
-    high, half = end, 0.5 * time_tolerance
-    earliest = time - half
+        return -1, 0.0, found
+    first, end = cells[6 + cell], cells[7 + cell]
+    later = _not_below(tuples, 0, first, end, time)
+    earlier = later  # behind the last of those
+    bound = np.rint(elapsed * 1e6) > np.rint(executed[len(executed) // 2] * 1e6)
+    while True:
+        before = time - tuples[earlier - 1, 0] if earlier > first else np.inf
+        after = tuples[later, 0] - time if later < end else np.inf
+        if not min(before, after) < 0.5 * time_tolerance:  # also NaN
+            return -1, 0.0, found
+        if before <= after:
+            row, last = _not_below(tuples, 0, first, earlier, tuples[earlier - 1, 0]), earlier
+            earlier = row
+        else:
+            row, last = later, _not_below(tuples, 0, later, end, np.nextafter(tuples[later, 0], np.inf))
+            later = last
+        # Of one time there may be hundreds; those of one first parameter stand together.
+        if bound:
+            row = _not_below(tuples, 1, row, last, executed[0])
+        while row < last and not (bound and tuples[row, 1] != executed[0]):
+            if keeps_executed_part(tuples, row, 1, executed, elapsed):
+                for number in range(len(found)):
+                    found = tuple_setitem(found, number, tuples[row, 1 + number])
+                return row, tuples[row, 0], found
+            row += 1
+
+
+@njit(cache=True, inline="always")
+def _not_below(rows: NDArray[np.float64], column: int, low: int, high: int, value: float) -> int:
+    """Return the first of some rows, sorted by a column, that is not below a value."""
     while low < high:
         middle = (low + high) // 2
-        if tuples[middle, 0] < earliest:
+        if rows[middle, column] < value:
             low = middle + 1
         else:
             high = middle
-    best, best_distance = -1, half
-    for candidate in range(low, end):
-        late = tuples[candidate, 0] - time
-        if late >= best_distance:  # and all that follow are later still
-            break
-        if abs(late) < best_distance and keeps_executed_part(tuples, candidate, 1, executed, elapsed_us):
-            best, best_distance = candidate, abs(late)
-    return best
+    return low
 
 
 @njit(cache=True)
 def first_match(
     positions: NDArray[np.float64],
     times: NDArray[np.float64],
+    executed: Row,
+    elapsed: float,
     cells: NDArray[np.int64],
     tuples: NDArray[np.float64],
-    executed: NDArray[np.float64],
-    elapsed_us: float,
     spacing: float,
     reach: float,
     time_tolerance: float,
-) -> tuple[int, int]:
+) -> tuple[int, int, float, Row]:
     """Find the first point of a path that a motion reaches in time (Sec. IV-A).
 
     Args:
         positions: In the world frame [m], shape (N, 3).
         times: Time of each since the onset [s], shape (N,).
-        cells: As in `nearest_tuple`, like all that follows.
+        executed: As in `nearest_tuple`, like all that follows.
+        elapsed: The same.
+        cells: The same.
         tuples: The same.
-        executed: The same.
-        elapsed_us: The same.
         spacing: The same.
         reach: The same.
         time_tolerance: The same.
 
     Returns:
-        Index of the point and of its tuple; -1, -1 if there is none.
+        Index of the point, then as `nearest_tuple`.
     """
     for point in range(positions.shape[0]):
         x, y, z = positions[point, 0], positions[point, 1], positions[point, 2]
-        found = nearest_tuple(
-            x, y, z, times[point], cells, tuples, executed, elapsed_us, spacing, reach, time_tolerance
+        row, time, found = nearest_tuple(
+            x, y, z, times[point], executed, elapsed, cells, tuples, spacing, reach, time_tolerance
         )
-        if found >= 0:
-            return point, found
-    return -1, -1
+        if row >= 0:
+            return point, row, time, found
+    return -1, -1, 0.0, executed

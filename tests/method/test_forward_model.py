@@ -1,6 +1,8 @@
 """Claims about the forward model s = f(theta, t)."""
 
 import logging
+from itertools import product
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -76,18 +78,29 @@ def test_other_support_vector_machines_predict_as_scikit_learn_does(parameters: 
     np.testing.assert_allclose(predicted, reference.predict(np.column_stack((theta, time))), rtol=0.0, atol=1e-12)
 
 
-def test_gaussian_process_predicts_as_scikit_learn_does() -> None:
+@pytest.mark.parametrize("kernel", ["rbf", "matern"])
+def test_gaussian_process_predicts_as_scikit_learn_does(kernel: Literal["rbf", "matern"]) -> None:
     theta, time = queries(3000)
     inputs, outputs = np.column_stack((SAMPLES.theta, SAMPLES.time)), SAMPLES.position
-    reference = make_regressor(GPR.estimator, GPR.parameters, 3)
+    reference = make_regressor(GPR.estimator, GPR.parameters, 3, kernel)
     fit_quietly(reference, standardized(inputs, inputs), standardized(outputs, outputs), GPR.estimator)
-    predicted = standardized(fitted(GPR).predict(theta, time), outputs)
+    predicted = standardized(fitted(GPR.model_copy(update={"kernel": kernel})).predict(theta, time), outputs)
     expected = reference.predict(standardized(np.column_stack((theta, time)), inputs))
     # Both round each of the summed terms and each exponent, some ten times.
     rounding = 10.0 * np.finfo(float).eps * reference.kernel_.k1.k1.constant_value
     for axis in range(3):
         bound = rounding * np.abs(reference.alpha_[:, axis]).sum()
         np.testing.assert_allclose(predicted[:, axis], expected[:, axis], rtol=0.0, atol=bound)
+
+
+@pytest.mark.parametrize("slowest", [0, 1])
+def test_motions_of_a_grid_are_predicted_as_each_one_alone(slowest: int) -> None:
+    values = [np.linspace(-1.0, 1.0, 5), np.linspace(0.25, 0.35, 4)]
+    rows = np.array(list(product(values[slowest], values[1 - slowest], (0.15, 0.2))))
+    theta, time = rows[:, [slowest, 1 - slowest]], rows[:, 1 - slowest] + rows[:, 2]
+    model = fitted(PAPER_SVR)
+    single = np.concatenate([model.predict(theta[[row]], time[[row]]) for row in range(len(rows))])
+    np.testing.assert_allclose(model.predict(theta, time), single, rtol=0.0, atol=1e-12)
 
 
 def test_gaussian_process_predicts_a_smooth_motion_better_than_it_was_measured() -> None:

@@ -15,7 +15,7 @@ from rough_tables import ROUGH, SHARP, TABLE, rough_table
 
 from imolo.errors import ConfigError, NotTrainedError
 from imolo.method.forward_model import PAPER_SVR, ForwardModel
-from imolo.method.motion import PhasedMotion, Theta, motion_rows
+from imolo.method.motion import MotionTemplate, PhasedMotion, Theta, motion_rows
 from imolo.method.table import Executed, LookupTable
 from imolo.method.table_grid import GridAxis, TableGrid
 from imolo.method.table_kernel import keeps_executed_part
@@ -129,7 +129,13 @@ def test_query_finds_what_a_search_of_all_tuples_finds(
     if hit is not None:
         assert hit.theta == tuple(TABLE.theta[hit.tuple_index])
         assert hit.time == TABLE.time[hit.tuple_index]
-        np.testing.assert_array_equal(hit.position, TABLE.position[hit.tuple_index])
+
+
+def test_whole_numbers_are_asked_for_like_others() -> None:
+    asked = (TABLE.position[0].tolist(), TABLE.time[0].item())
+    hits = [TABLE.query(*asked, Executed(theta, -1.0)) for theta in ((0, 0.3), (0.0, 0.3))]
+    assert hits[0] is not None
+    assert hits[0] == hits[1]
 
 
 def instants(template: PhasedMotion, theta: Theta) -> list[int]:
@@ -156,9 +162,10 @@ def two_motions(draw: st.DrawFn) -> tuple[PhasedMotion, Theta, Theta, int]:
 @example((MOTION, (0.5, 0.25), (0.0, 0.25), 0))  # the motion starts now
 def test_fast_condition_says_what_the_commands_say(drawn: tuple[PhasedMotion, Theta, Theta, int]) -> None:
     template, old, new, elapsed = drawn
-    row_old, row_new = motion_rows(template, np.array([old, new]))
-    np.testing.assert_array_equal(template.row_maker()(old), row_old)
-    fast = keeps_executed_part(row_new[None], 0, 0, row_old, float(elapsed))
+    rows = motion_rows(template, np.array([old, new]))
+    row = template.row_maker()(old)
+    np.testing.assert_array_equal(row, MotionTemplate.row_maker(template)(old))
+    fast = keeps_executed_part(rows, 1, 0, row, elapsed * 1e-6)
     commands = [template.commands(theta, ONSET) for theta in (new, old)]
     assert fast == commands[0].matches_until(commands[1], ONSET + elapsed)
 
