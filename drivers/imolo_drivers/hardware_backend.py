@@ -38,7 +38,7 @@ from imolo_drivers.exposure_guard import ExposureGuard, ExposureLimits
 from imolo_drivers.hit_detector import HitDetector, HitDetectorConfig
 from imolo_drivers.marker_guard import MarkerGuard, MarkerGuardConfig
 from imolo_drivers.natnet.calibration import Calibration
-from imolo_drivers.natnet.client import NatNetClient
+from imolo_drivers.natnet.client import LATE_FRAMES, NatNetClient
 from imolo_drivers.natnet.config import NatNetConfig
 from imolo_drivers.natnet.markers import Labels, find_labels, mocap_frame
 from imolo_drivers.natnet.messages import Frame
@@ -110,7 +110,7 @@ class HardwareBackend:
         self._asked = self._heard_board = 0
         self._newest_state = 0
         self._first_state = -1
-        self._first_frame = 0
+        self._frame_number = self._newest_frame = 0  # in the trial, and as the cameras count
         self._onset: int | None = None
         self._cameras_lost = False
 
@@ -322,8 +322,7 @@ class HardwareBackend:
             return False
         utime = round(exposed * 1e6) - (self._begin or 0)
         message = mocap_frame(frame, utime, self._labels, self._calibration)
-        self._first_frame = self._first_frame or frame.number
-        message.frame_number = frame.number - self._first_frame + 1
+        message.frame_number = self._number(frame.number)
         self._guard.repair(message)
         if not self._wrong_labels and (self._guard.renamed or self._guard.removed):
             self._wrong_labels = True
@@ -331,6 +330,12 @@ class HardwareBackend:
         self._bus.publish(channels.MOCAP, message)
         self._judge(message)
         return True
+
+    def _number(self, number: int) -> int:
+        """Number a frame of the trial from 1, frames that were lost included; a take in a loop is numbered on."""
+        step, self._newest_frame = number - self._newest_frame, number
+        self._frame_number += step if self._frame_number and 0 < step <= LATE_FRAMES else 1
+        return self._frame_number
 
     def _judge(self, frame: mocap_frame_t) -> None:
         """Tell what the cameras show to have happened."""

@@ -20,6 +20,12 @@ LEAST_JUMP = float(np.linalg.norm(GRAVITY)) * WINDOW  # [m/s] less is not told f
 MOST_GAIN = 3.0  # times the velocity of falling; a floor gives twice of it at most, a throw from rest any
 NOISE_REACH = 4  # windows on each side that tell the noise
 STEPS = 4  # to try for the time of a contact in each period of the samples
+LONGEST_GAP = 1.0  # [s] between two samples of one flight, assumed
+SHORTEST_GAP = 1e-6  # [s] assumed: no camera takes more than a million pictures a second
+FARTHEST = 1e6  # [m] assumed
+MOST_SAMPLES = 100_000  # of a track, assumed: ten minutes at 160 Hz
+MOST_TRIES = 1000  # for the time of a contact in one gap
+AT_ONCE = 100_000  # samples about contacts, which bounds the memory
 FALLING = (0.25, 3.0)  # [g] downward acceleration of a flying ball, lift and drag included; at rest it is 0
 
 
@@ -43,6 +49,7 @@ def before_bounce(time: Array, position: Array) -> Flight:
     """
     if len(time) < FEWEST_SAMPLES:
         raise TrainingDataError(f"it has {len(time)} samples; a flight needs {FEWEST_SAMPLES}")
+    _check_scale(time, position)
     start, parts = 0, []
     for kink, bounces in _kinks(time, position):
         parts.append((start, kink))
@@ -61,23 +68,42 @@ def before_bounce(time: Array, position: Array) -> Flight:
 
 
 def _falls(time: Array, position: Array, first: int, last: int) -> bool:
-    curvature = 2.0 * np.polynomial.Polynomial.fit(time[first:last], position[first:last, 2], 2).convert().coef[2]
+    curvature = np.polynomial.Polynomial.fit(time[first:last], position[first:last, 2], 2).deriv(2)(time[first])
     low, high = (share * np.linalg.norm(GRAVITY) for share in FALLING)
     return bool(low <= -curvature <= high)
+
+
+def _check_scale(time: Array, position: Array) -> None:
+    """Refuse what no camera saw of a ball.
+
+    Raises:
+        TrainingDataError: Times or positions are too far apart, or too many.
+    """
+    gaps, farthest = np.diff(time), float(np.abs(position).max())
+    if len(time) > MOST_SAMPLES:
+        raise TrainingDataError(f"it has {len(time)} samples; give every throw a name of its own")
+    if gaps.max() > LONGEST_GAP:
+        raise TrainingDataError(f"two of its samples are {gaps.max():.3g} s apart; are its times in s?")
+    if gaps.min() < SHORTEST_GAP:
+        raise TrainingDataError(f"two of its samples are {gaps.min():.3g} s apart; are its times in s?")
+    if farthest > FARTHEST:
+        raise TrainingDataError(f"it is {farthest:.3g} m away; are its positions in m?")
 
 
 def _kinks(time: Array, position: Array) -> list[tuple[int, bool]]:
     """Return the first sample after each jump of the velocity, and whether the jump is a bounce."""
     gaps = np.diff(time)
     period = float(np.median(gaps))
-    size = max(FEWEST_IN_WINDOW, round(WINDOW / period))
-    tries = STEPS * np.ceil(gaps / period).astype(int)
+    size = min(max(FEWEST_IN_WINDOW, round(WINDOW / period)), len(time))
+    tries = np.minimum(STEPS * np.ceil(gaps / period), MOST_TRIES).astype(int)
     split = np.repeat(np.arange(1, len(time)), tries)
     share = np.concatenate([(np.arange(count) + 0.5) / count for count in tries])
     contact = time[split - 1] + share * gaps[split - 1]
     noise = _noise(time, position, size)[split]
-    each = _Meetings.fit(time, position, split, contact, size, noise)
-    evidence = np.where(each.bounces() | each.hits(), each.evidence(), 0.0)
+    evidence = np.zeros(len(split))
+    for some in np.array_split(np.arange(len(split)), 1 + len(split) * size // AT_ONCE):
+        each = _Meetings.fit(time, position, split[some], contact[some], size, noise[some])
+        evidence[some] = np.where(each.bounces() | each.hits(), each.evidence(), 0.0)
     kinks = []
     while evidence.any():
         top = int(np.argmax(evidence))

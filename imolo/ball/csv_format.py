@@ -19,7 +19,16 @@ DECIMALS = {".": ".", ",": ","}
 AXES = {"z": [0, 1, 2], "y": [2, 0, 1], "x": [1, 2, 0]}
 UPS = ("z", "-z", "y", "-y", "x", "-x")
 
-_NAME = re.compile(r"(time|t|x|y|z)(?:[\s_]*[_\s(\[](m|cm|mm|s|ms|us|µs|ns)[\])]?)?", re.IGNORECASE)
+WORDS = {"\u00b5s": "us", "\u03bcs": "us", "sec": "s"} | {
+    f"{prefix}{word}{plural}": short + unit
+    for prefix, short in (("", ""), ("centi", "c"), ("milli", "m"), ("micro", "u"), ("nano", "n"))
+    for word, unit in (("meter", "m"), ("metre", "m"), ("second", "s"))
+    for plural in ("", "s")
+}
+"""Units by other names, those that nobody uses included."""
+
+_UNITS = "|".join((*LENGTHS, *TIMES, *WORDS))
+_NAME = re.compile(rf"(time|t|x|y|z)(?:[\s_]*[_\s(\[]({_UNITS})[\])]?)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -67,28 +76,29 @@ def find_columns(header: list[str], said: CsvFormat) -> dict[str, int]:
     """Return the number of the column of flight, time, x, y and z.
 
     Raises:
-        TrainingDataError: One is missing or there twice, or is in another unit than was said.
+        TrainingDataError: One is missing or there twice, or is in another unit than was said or than the others.
     """
     wanted = {"flight": "", "time": said.time or "s"} | dict.fromkeys("xyz", said.units or "m")
-    columns = {}
-    others: dict[str, str] = {}
+    found: dict[str, str] = {}
     for name, unit in wanted.items():
         full = f"{name}_{unit}" if unit else name
         if header.count(full) > 1:
             raise TrainingDataError(f"the column {full!r} is there twice; {_must_name(wanted)}")
         alike = [column for column in header if _parsed(column)[0] == name]
-        if full in header:
-            columns[name] = header.index(full)
-        elif len(alike) == 1 and _may_be(_parsed(alike[0])[1], said, name):
-            columns[name] = header.index(alike[0])
-        elif len(alike) == 1:
-            others[name] = alike[0]
-        else:
+        if full not in header and len(alike) != 1:
             near = did_you_mean(full, [column for column in header if not _parsed(column)[0]][:1000])
             raise TrainingDataError(f"the column {full!r} is missing{near}; {_must_name(wanted)}")
+        found[name] = full if full in header else alike[0]
+    units = {name: _parsed(column)[1] for name, column in found.items()}
+    if len({units[axis] for axis in "xyz"} - {""}) > 1:
+        axes = ", ".join(repr(found[axis]) for axis in "xyz")
+        raise TrainingDataError(f"the columns {axes} are in different units; write them in one")
+    others = {
+        name: column for name, column in found.items() if units[name] != wanted[name] and not _is_said(name, said)
+    }
     if others:
         raise TrainingDataError(_of_another_unit(others, said))
-    return columns
+    return {name: header.index(column) for name, column in found.items()}
 
 
 def _parsed(column: str) -> tuple[str, str]:
@@ -98,12 +108,12 @@ def _parsed(column: str) -> tuple[str, str]:
     found = _NAME.fullmatch(column)
     if found is None:
         return "", ""
-    quantity, unit = found[1].lower(), (found[2] or "").lower().replace("µ", "u")
-    return "time" if quantity == "t" else quantity, unit
+    quantity, unit = found[1].lower(), (found[2] or "").lower()
+    return "time" if quantity == "t" else quantity, WORDS.get(unit, unit)
 
 
-def _may_be(unit: str, said: CsvFormat, name: str) -> bool:
-    """Tell whether a column with this unit in its name may be taken: what was said goes before what it says."""
+def _is_said(name: str, said: CsvFormat) -> bool:
+    """Tell whether the unit of a column was said, which goes before what its name says."""
     return name == "flight" or (said.time if name == "time" else said.units) is not None
 
 

@@ -28,6 +28,8 @@ MOST_BYTES = 200_000_000  # an hour of a ball at 1 kHz
 MOST_LINE = 1_000_000  # [characters]
 AS_IT_SAYS = CsvFormat()
 
+_NOT_SEEN = "leave samples out in which the ball was not seen"
+_SEPARATOR_LINE = re.compile(r"sep=([,;|\t])", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -101,6 +103,8 @@ def read_tracks(path: Path, form: CsvFormat = AS_IT_SAYS) -> dict[str, Flight]:
 def _parse(path: Path, file: TextIO, form: CsvFormat) -> dict[str, Flight]:
     first = file.readline(MOST_LINE)
     separator = SEPARATORS[form.separator or ","]
+    if told := _SEPARATOR_LINE.fullmatch(first.strip("\r\n")):  # as Excel has it
+        first, separator = file.readline(MOST_LINE), separator if form.separator else told[1]
     rows = _rows(chain([first], iter(lambda: file.readline(MOST_LINE), "")), separator)
     try:
         if first.startswith(FIRST):
@@ -112,6 +116,8 @@ def _parse(path: Path, file: TextIO, form: CsvFormat) -> dict[str, Flight]:
                 f"the first line has {len(header)} columns between {separator!r}; it looks like --separator "
                 f"{shlex.quote(others[0])}; give that, or what is right"
             )
+        if len(header) < len(COLUMNS) <= len(first.split()):
+            raise TrainingDataError("its columns are parted by spaces; write it with commas")
         return _parse_rows(rows, find_columns(header, form), len(header), form)
     except TrainingDataError as error:
         raise TrainingDataError(f"{path}{error}" if str(error).startswith(", line") else f"{path}: {error}") from error
@@ -187,11 +193,11 @@ def _number(text: str, quantity: str, where: str, form: CsvFormat) -> float:
         value = float(plain.replace(",", ".") if form.decimal == "," else plain)
     except ValueError:
         value = math.nan
-        fix = f"give a number with a decimal {'comma' if form.decimal == ',' else 'point'}"
+        fix = f"give a number with a decimal {'comma' if form.decimal == ',' else 'point'}" if text else _NOT_SEEN
         if _DECIMAL_COMMA.fullmatch(text) and form.decimal is None:
             fix = "it looks like --decimal ,; give that, or what is right"
     else:
-        fix = "leave samples out in which the ball was not seen"
+        fix = _NOT_SEEN
     if not math.isfinite(value):
         raise TrainingDataError(f"{where}: {_titled(quantity, form)} is {text[:40]!r}, no finite number; {fix}")
     return value

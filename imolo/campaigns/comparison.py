@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt
 from threadpoolctl import threadpool_limits
 
 from imolo.campaigns.campaign import (
@@ -53,9 +53,9 @@ class Timing(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    decision_median: float
-    decision_p99: float
-    real_time_factor: float
+    decision_median: NonNegativeFloat
+    decision_p99: NonNegativeFloat
+    real_time_factor: NonNegativeFloat
 
 
 class Timings(BaseModel):
@@ -82,7 +82,7 @@ class Comparison(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    seed: int
+    seed: NonNegativeInt
     versions: dict[str, str]
     configs: dict[str, str]
     results: dict[str, dict[str, MethodResult]]

@@ -18,6 +18,7 @@ from imolo.errors import ImoloError
 from imolo.identification import commands as identification_commands
 from imolo.inspect import commands as inspect_commands
 from imolo.live import commands as live_commands
+from imolo.machine.caches import provide_caches
 from imolo.report import commands as report_commands
 from imolo.scaffold import commands as scaffold_commands
 from imolo.studies import commands as study_commands
@@ -146,6 +147,9 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     # joblib replaces a process that has grown; its tasks are run all the same.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+    if not provide_caches():
+        complain("neither the home folder nor a temporary one can be written; set HOME or TMPDIR to one that can")
+        sys.exit(2)
     try:
         app()
     except ImoloError as error:

@@ -2,9 +2,10 @@
 
 import hashlib
 import subprocess
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import entry_points
+from importlib.metadata import Distribution, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -23,7 +24,7 @@ class Provenance:
     Attributes:
         distribution: Name of the distribution that brings it; empty where none says so.
         version: Of the distribution.
-        source: Hash of all files of its package.
+        source: Hash of all files of its package, and of the other packages of its distribution.
     """
 
     distribution: str
@@ -50,7 +51,7 @@ def provenance(group: str, name: str) -> Provenance:
     return Provenance(
         distribution=distribution.name if distribution else "",
         version=distribution.version if distribution else "",
-        source=digest_of_packages(_package(entry_point.module)),
+        source=digest_of_packages(*sorted({_package(entry_point.module), *_packages(distribution)})),
     )
 
 
@@ -78,6 +79,17 @@ def _package(module: str) -> str:
         if spec is None or spec.origin is not None:
             return ".".join(parts[:count])
     return module
+
+
+def _packages(distribution: Distribution | None) -> Iterator[str]:
+    """Yield the outermost packages and modules that a distribution says it installs."""
+    if distribution is None:
+        return
+    # An editable installation lists no files of its packages.
+    listed = (distribution.read_text("top_level.txt") or "").split()
+    for name in (*listed, *(file.parts[0].partition(".")[0] for file in distribution.files or ())):
+        if name.isidentifier() and not name.startswith("__"):
+            yield name
 
 
 def commit() -> str:

@@ -72,9 +72,10 @@ def planner(
 
 @app.command()
 def record(
-    out: Annotated[Path, typer.Option(help="Log to write, or a folder for it; an older one is never replaced.")] = Path(
-        "results/live/session.lcmlog"
-    ),
+    out: Annotated[
+        str,
+        typer.Option(metavar="<path>", help="Log to write, or a folder for it; an older one is never replaced."),
+    ] = "results/live/session.lcmlog",
     bus: Bus = LOCAL_URL,
     with_parent: WithParent = False,
 ) -> None:

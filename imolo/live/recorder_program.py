@@ -78,12 +78,13 @@ class EventFile:
         self._file.close()
 
 
-def free_path(path: Path) -> Path:
+def free_path(path: Path | str) -> Path:
     """Return `path`, or the first of path_1, path_2 ... that does not exist: a log is never overwritten.
 
-    In a folder it is `session.lcmlog`.
+    In a folder it is `session.lcmlog`; a text that ends with a slash names a folder, also one that is not there yet.
     """
-    path = path / SESSION if path.is_dir() else path
+    is_folder = str(path).endswith("/") or Path(path).is_dir()
+    path = Path(path, SESSION) if is_folder else Path(path)
     number, free = 0, path
     while free.exists():
         number += 1
@@ -94,7 +95,7 @@ def free_path(path: Path) -> Path:
 class RecorderProgram:
     """Writes what it hears, with the time at which it heard it."""
 
-    def __init__(self, bus: Bus, path: Path, console: Console) -> None:
+    def __init__(self, bus: Bus, path: Path | str, console: Console) -> None:
         """Join the network and create the log.
 
         Raises:
@@ -131,7 +132,7 @@ class RecorderProgram:
             self._streams.count(channel, data)
 
 
-def run_recorder(url: str, path: Path, stop: Stop, console: Console) -> None:
+def run_recorder(url: str, path: Path | str, stop: Stop, console: Console) -> None:
     """Run the program.
 
     Raises:

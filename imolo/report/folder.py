@@ -82,6 +82,10 @@ def read_campaign(path: Path) -> Campaign | None:
     configs, texts = _read_configs(path)
     summary = parse(Comparison, text, path / "summary.json")
     results, timings = summary.results, None
+    if not results or not all(results.values()):
+        raise ResultsError(
+            f"{path / 'summary.json'} is damaged: a backend or method is missing in its results; {AGAIN}"
+        )
     if (path / "timing.json").exists():
         timings = parse(Timings, read_text(path / "timing.json"), path / "timing.json")
     for backend, methods in results.items():

@@ -7,6 +7,7 @@ from typing import Any
 
 from imolo.trials.metrics import MethodResult, judge_campaign, wilson_interval
 
+LARGEST = 2**63  # integer
 ROUNDING = 1e-9  # relative; sums may be taken in another order on another processor
 
 
@@ -19,9 +20,12 @@ def check_numbers(text: str) -> None:
     for place, value in _places(json.loads(text)):
         if isinstance(value, float) and not math.isfinite(value):
             raise ValueError(f"{place} is {value}, no finite number")
+        if isinstance(value, int) and abs(value) > LARGEST:
+            raise ValueError(f"{place} has {len(str(abs(value)))} digits, which no number of ours has")
         if isinstance(value, dict):
-            # What has an interval may be a difference.
-            sizes = {"sd", "count"} if "low" in value else {"mean", "sd", "count"}
+            # What has an interval may be a difference, and a task may measure what can be negative.
+            may_be_negative = "low" in value or ".measures." in place
+            sizes = {"sd", "count"} if may_be_negative else {"mean", "sd", "count"}
             for key in sizes & value.keys() if {"mean", "sd"} <= value.keys() else ():
                 if isinstance(value[key], int | float) and value[key] < 0:
                     raise ValueError(f"{place}.{key} is {value[key]}, less than nothing")

@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
 from imolo.config.experiment import ExperimentConfig, MethodConfig
 from imolo.config.loading import body_of, create_task, task_plugin
@@ -44,11 +44,11 @@ class TrialResult(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    trial: int
+    trial: NonNegativeInt
     hit: bool
     outcome: str
     theta: tuple[float, ...] | None
-    updates: int
+    updates: NonNegativeInt
     hand_error: float | None
     prediction_error: dict[str, float]
     cause: str | None = None

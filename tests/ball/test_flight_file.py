@@ -1,6 +1,8 @@
 """Recorded flights: the CSV reader, and the cut at the bounce."""
 
 import csv
+import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +79,57 @@ def test_track_that_does_not_fly_is_refused(count, message):
     position = 1.0 + 0.001 * np.random.default_rng(0).standard_normal((count, 3))
     with pytest.raises(TrainingDataError, match=message):
         before_bounce(np.arange(count) / 180.0, position)
+
+
+@pytest.mark.parametrize(
+    ("times", "metres", "message"),
+    [
+        (1e-12, 1.0, "two of its samples are 5.56e-15 s apart; are its times in s"),
+        (1e-6, 1.0, "two of its samples are 5.56e-09 s apart; are its times in s"),
+        (1e3, 1.0, "two of its samples are 5.56 s apart; are its times in s"),
+        (1e300, 1.0, "two of its samples are 5.56e+297 s apart; are its times in s"),
+        (1.0, 1e9, "m away; are its positions in m"),
+        (1.0, 1e300, "m away; are its positions in m"),
+    ],
+)
+def test_track_whose_units_are_none_of_a_ball_is_refused_in_little_memory(times, metres, message):
+    time = np.arange(60) / 180.0
+    path = fly(np.array([0.0, 0.0, 1.0, 4.0, 0.0, 3.0]), time)[:, :3]
+    tracemalloc.start()
+    try:
+        with pytest.raises(TrainingDataError, match=re.escape(message)):
+            before_bounce(times * time, metres * path)
+        assert tracemalloc.get_traced_memory()[1] < 10e6  # [bytes]
+    finally:
+        tracemalloc.stop()
+
+
+def test_ball_at_rest_and_a_gap_of_many_samples_are_no_trouble():
+    time = np.arange(60) / 180.0
+    with pytest.raises(TrainingDataError, match="falls like a free ball"):
+        before_bounce(time, np.zeros((60, 3)))
+    time[30:] += 0.99
+    with pytest.raises(TrainingDataError, match="falls like a free ball"):
+        before_bounce(time, np.ones((60, 3)))
+    time[30] = time[29] + 1e-12
+    with pytest.raises(TrainingDataError, match="are its times in s"):
+        before_bounce(time, np.ones((60, 3)))
+
+
+def test_long_track_is_searched_in_memory_that_grows_with_its_length_alone():
+    def peak(count: int) -> int:
+        time = np.arange(count) / 1000.0
+        path = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal((count, 3))
+        tracemalloc.start()
+        try:
+            with pytest.raises(TrainingDataError, match="falls like a free ball"):
+                before_bounce(time, path)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    # What is tried at once is bounded; what stays for each sample is some 60 numbers.
+    assert peak(4000) - peak(2000) < 2000 * 100 * 8
 
 
 @pytest.mark.parametrize(("name", "count"), [("aimy_robot_simple_0-23.csv", 24), ("aimy_mn5008_no_spin_0-4.csv", 5)])

@@ -101,6 +101,50 @@ def test_units_in_the_header_are_named_and_renaming_is_not_advised(
     np.testing.assert_allclose(read_tracks(path, form)["0"].time, TRACKS["0"].time, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        ("Flight", "Time [s]", "X [m]", "Y [m]", "Z [m]"),
+        ("flight", "t (sec)", "x (m)", "y (m)", "z (m)"),
+        ("flight", "time_seconds", "x_meters", "y_metres", "z_m"),
+    ],
+)
+def test_metres_and_seconds_by_other_names_are_read_as_they_come(tmp_path: Path, header: tuple[str, ...]) -> None:
+    path = tmp_path / "f.csv"
+    write(path, CsvFormat(), header)
+    np.testing.assert_allclose(read_tracks(path)["0"].position, TRACKS["0"].position, atol=1e-7)
+
+
+@pytest.mark.parametrize("said", [None, "m", "mm"])
+def test_axes_in_different_units_are_refused(tmp_path: Path, said: str | None) -> None:
+    path = tmp_path / "f.csv"
+    write(path, CsvFormat(), ("flight", "time_s", "x_m", "y_m", "z_mm"))
+    with pytest.raises(TrainingDataError, match="'x_m', 'y_m', 'z_mm' are in different units"):
+        read_tracks(path, CsvFormat(units=said))
+
+
+def test_separator_that_excel_names_in_the_first_line_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "f.csv"
+    write(path, CsvFormat(separator=";"))
+    path.write_text("sep=;\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    for form in (CsvFormat(), CsvFormat(separator=";")):
+        np.testing.assert_allclose(read_tracks(path, form)["0"].position, TRACKS["0"].position, atol=1e-7)
+
+
+def test_columns_between_spaces_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text(" ".join(HEADER) + "\n0 0.005 1.5 2.5 3.5\n", encoding="utf-8")
+    with pytest.raises(TrainingDataError, match="parted by spaces; write it with commas"):
+        read_tracks(path)
+
+
+def test_blank_value_is_told_as_a_ball_that_was_not_seen(tmp_path: Path) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text(",".join(HEADER) + "\n0,0.005,1.5,2.5,\n", encoding="utf-8")
+    with pytest.raises(TrainingDataError, match="line 2: z_m is '', no finite number; leave samples out"):
+        read_tracks(path)
+
+
 @pytest.mark.parametrize("separator", [";", "tab", "|"])
 @pytest.mark.parametrize("decimal", [".", ","])
 def test_separators_and_decimal_commas_are_named_one_after_the_other_and_taken(

@@ -46,15 +46,33 @@ def test_kernel_of_the_linear_algebra_is_told_as_it_is() -> None:
 PLUGIN = "from imolo_backends.engines.mujoco_engine import BACKEND\n"
 
 
-def test_plug_in_that_was_changed_is_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("lists", "changed"),
+    [
+        ({}, "toy/robot.xml"),  # data of a plug-in shapes its trials too
+        ({"RECORD": "toy/engine.py,,\ntoy_physics/step.py,,\n"}, "toy_physics/step.py"),
+        (
+            {"RECORD": "toy/engine.py,,\n__editable___toy.py,,\ntoy_constants.py,,\n../bin/toy,,\n"},
+            "toy_constants.py",
+        ),
+        ({"top_level.txt": "toy\ntoy_physics\n"}, "toy_physics/step.py"),
+    ],
+)
+def test_plug_in_that_was_changed_is_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lists: dict[str, str], changed: str
+) -> None:
     package = tmp_path / "site/toy"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text("")
+    for folder in (package, tmp_path / "site/toy_physics"):
+        folder.mkdir(parents=True)
+        (folder / "__init__.py").write_text("")
     (package / "engine.py").write_text(PLUGIN)
+    (tmp_path / "site/toy_constants.py").write_text("")
     about = tmp_path / "site/toy_engine-1.5.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-engine\nVersion: 1.5\n")
     (about / "entry_points.txt").write_text("[imolo.backends]\ntoy = toy.engine:BACKEND\n")
+    for name, text in lists.items():
+        (about / name).write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     config = CONFIG.model_copy(update={"backend": PluginConfig(name="toy")})
     chosen = [TrialTask(config, task.trial, task.log_path) for task in tasks(tmp_path / "out")]
@@ -68,8 +86,7 @@ def test_plug_in_that_was_changed_is_another(tmp_path: Path, monkeypatch: pytest
     assert (found.distribution, found.version) == ("toy-engine", "1.5")
     run_tasks(chosen, jobs=1)
     run_tasks(chosen, jobs=1)
-    # Data of a plug-in shapes its trials too.
-    (package / "robot.xml").write_text("<robot/>")
+    (tmp_path / "site" / changed).write_text("GRAVITY = 9.8\n")
     forget()
     with pytest.raises(ResultsError, match="is of another backend code; give another --out"):
         run_tasks(chosen, jobs=1)

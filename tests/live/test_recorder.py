@@ -103,6 +103,11 @@ def test_log_in_a_folder_is_a_session(tmp_path: Path) -> None:
         EventFile(free).close()
 
 
+def test_folder_that_is_not_there_yet_ends_with_a_slash(tmp_path: Path) -> None:
+    assert free_path(f"{tmp_path}/monday/") == tmp_path / "monday/session.lcmlog"
+    assert free_path(f"{tmp_path}/monday") == tmp_path / "monday"
+
+
 def test_older_log_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "session.lcmlog"
     for name in ("session.lcmlog", "session_1.lcmlog", "session_2.lcmlog"):

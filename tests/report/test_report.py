@@ -20,6 +20,7 @@ from imolo.config.experiment import PluginConfig
 from imolo.config.loading import config_for
 from imolo.errors import ImoloError, ResultsError
 from imolo.report.page import write_report
+from imolo.report.plausibility import check_numbers
 from imolo.trials.metrics import wilson_interval
 
 
@@ -155,6 +156,17 @@ def _cut(name: str) -> Callable[[Path], object]:
     return lambda path: (path / name).write_text((path / name).read_text()[:200])
 
 
+def _slow_down(decision: float) -> Callable[[Path], object]:
+    """Return what sets the time of a decision [s]."""
+
+    def edit(path: Path) -> None:
+        content = json.loads((path / "timing.json").read_text())
+        content["timing"]["alpha"]["paper"]["decision_median"] = decision
+        (path / "timing.json").write_text(json.dumps(content))
+
+    return edit
+
+
 def _change(name: str, how: Callable[[dict[str, Any]], dict[str, Any]]) -> Callable[[Path], object]:
     return lambda path: (path / name).write_text(yaml.safe_dump(how(yaml.safe_load((path / name).read_text()))))
 
@@ -166,6 +178,7 @@ def _change(name: str, how: Callable[[dict[str, Any]], dict[str, Any]]) -> Calla
         (_cut("summary.json"), ("summary.json", "imolo compare")),
         (_write("summary.json", '{"results": {}}'), ("summary.json", "seed", "imolo compare")),
         (_cut("timing.json"), ("timing.json", "imolo compare")),
+        (_slow_down(-1.0), ("timing.json", "decision_median", "imolo compare")),
         (_remove("configs/beta.yaml"), ("beta.yaml", "missing", "imolo compare")),
         (_write("configs/beta.yaml", "a: [b"), ("beta.yaml", "imolo compare")),
         (_write("configs/beta.yaml", "seed: 1"), ("beta.yaml", "imolo compare")),
@@ -233,6 +246,12 @@ PAPER = ("results", "alpha", "paper")
         (_edit(*PAPER, "trials", 1, "trial", value=2), "a trial twice"),
         (_edit(*PAPER, "causes", "no motion", value=3), "no motion"),
         (_edit("disagreement", "alpha - beta", "mean", value=-1), "mean is -1"),
+        (_edit(*PAPER, "trials", 1, "trial", value=-5), "trials.1.trial"),
+        (_edit(*PAPER, "trials", 1, "updates", value=-1), "trials.1.updates"),
+        (_edit(*PAPER, "trials", 1, "updates", value=10**400), "updates has 401 digits"),
+        (_edit("seed", value=-3), "seed"),
+        (_edit("results", value={}), "missing in its results"),
+        (_edit("results", "alpha", value={}), "missing in its results"),
     ],
 )
 def test_number_that_cannot_be_is_told_in_one_line(tmp_path: Path, edit: Callable[[Path], object], named: str) -> None:
@@ -242,6 +261,13 @@ def test_number_that_cannot_be_is_told_in_one_line(tmp_path: Path, edit: Callabl
         write_report(folder.path, tmp_path / "report.html")
     assert "\n" not in str(raised.value)
     assert all(part in str(raised.value) for part in ("summary.json is damaged", named, "imolo compare"))
+
+
+def test_measure_of_a_task_may_be_negative() -> None:
+    mean = {"mean": -0.1, "sd": 0.1, "count": 2}
+    check_numbers(json.dumps({"alpha": {"measures": {"height [m]": mean}}}))
+    with pytest.raises(ValueError, match="less than nothing"):
+        check_numbers(json.dumps({"alpha": {"hand_error": mean}}))
 
 
 @pytest.mark.parametrize("make", [False, True])

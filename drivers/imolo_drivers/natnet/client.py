@@ -118,6 +118,11 @@ class NatNetClient:
         config = self._config
         if self.last_problem:
             came = f"{self.unreadable} packets from there cannot be read, the last one: {self.last_problem}"
+        elif self.server is not None and self._late_numbers:
+            came = (
+                f"{self.server.name} sends frames whose numbers do not count upwards, the last one is "
+                f"{self._late_numbers[-1]}; is its take paused, or played backwards?"
+            )
         elif self.server is not None:
             what = "no frames" if self.definitions is not None else "no model definitions"
             came = f"{self.server.name} answers but sends {what}; is it streaming, and is its take not paused?"

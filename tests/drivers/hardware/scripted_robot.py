@@ -70,6 +70,7 @@ class ScriptedRobot:
         self.motive = NatNetServer(NatNetServerConfig(command_port=0), version, definitions=_definitions())
         self.packets: list[bytes] = []
         self.exposed: Callable[[float], float] = float  # [s] what the cameras say of a frame of that time
+        self.take = 2**31  # frames after which the cameras count anew
         self._throws = self._moves = False
         self._faults, self._armed, self._due, self._start = faults, armed, False, math.inf
         self._numbers, self._next = 0, time.monotonic()
@@ -120,7 +121,7 @@ class ScriptedRobot:
         markers = self._faults(exposed - self._start, self._markers(exposed - self._start))
         if markers is not None:
             ticks = self.motive.ticks(self.exposed(exposed))
-            self.motive.send(Frame(self._numbers, exposed, ticks, tuple(markers)))
+            self.motive.send(Frame(self._numbers % self.take, exposed, ticks, tuple(markers)))
 
     def _markers(self, elapsed: float) -> list[LabelledMarker]:
         """Return the resting robot, and a ball that falls onto the floor in front of it."""

@@ -289,3 +289,12 @@ def test_frames_of_every_trial_are_numbered_from_one() -> None:
             with contextlib.closing(Watched(robot)) as watched:
                 watched.see(2)
             assert watched.frames[0].frame_number == 1
+
+
+def test_frames_of_a_take_in_a_loop_are_numbered_on() -> None:
+    with scripted_robot() as robot:
+        robot.take = 10
+        with contextlib.closing(Watched(robot)) as watched:
+            watched.see(robot.take + 2)
+    numbers = [frame.frame_number for frame in watched.frames]
+    assert numbers == sorted(set(numbers))

@@ -110,6 +110,7 @@ def test_a_number_that_stands_still_is_no_restart() -> None:
             link.server.send(frame(77))
         link.run_until(lambda: link.client.late == 9)
         assert [frame.number for frame in link.frames] == [77]
+        assert "do not count upwards, the last one is 77; is its take paused" in link.client.missing(5.0)
 
 
 def test_a_silent_stream_is_lost_after_the_limit_and_found_again_with_the_next_frame() -> None:
