@@ -167,7 +167,7 @@ class LinearBallModel:
 
     def make_filter(self, state: Array, covariance: Array) -> BallFilter:
         """Return a Kalman filter of the ball (Sec. V-C) that starts from a state, shape (6,), and its covariance."""
-        return kalman_filter(state, covariance, self.measurement_covariance(state[:3]))
+        return kalman_filter(state, covariance, np.diag(self.measurement_std**2))
 
     def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead; B enters as its control input (Sec. V-C)."""

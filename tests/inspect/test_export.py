@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import shutil
 from importlib.metadata import version
 from pathlib import Path
@@ -100,6 +101,8 @@ def _assert_fields(content: dict[str, object], descriptor: object) -> None:
         if name in ("timestamp", "lifetime"):
             assert set(value) == {"sec", "nsec"}  # type: ignore[call-overload]
             continue
+        if name in ("rotation", "orientation"):
+            assert math.hypot(*value.values()) == pytest.approx(1.0, abs=1e-9)  # type: ignore[attr-defined]
         for element in value if isinstance(value, list) else [value]:
             if isinstance(element, dict):
                 _assert_fields(element, field.message_type)

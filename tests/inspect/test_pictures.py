@@ -45,6 +45,12 @@ def test_plot_draws_every_element_of_every_log(recorded: Recorded) -> None:
     assert np.array_equal(drawn, values, equal_nan=True)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_plot_of_one_log_is_titled_by_it(recorded: Recorded, count: int) -> None:
+    logs = [recorded.first, recorded.second][:count]
+    assert draw_fields(logs, [parse_selector("PLAN.theta[1]")]).get_suptitle() == (str(logs[0]) if count == 1 else "")
+
+
 def test_plot_writes_a_figure(recorded: Recorded, run: Run) -> None:
     code, output, errors = run("plot", recorded.first, "MOCAP.frame_number", "--out", "plot.png")
     assert (code, output, errors) == (0, "the figure is plot.png\n", "")

@@ -137,6 +137,15 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
                 LookupTable.load(path)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), {1}])
+def test_origin_that_json_does_not_have_is_refused(value: object, tmp_path: Path) -> None:
+    table = rough_table("voxel")
+    table.origin["seed"] = value
+    with pytest.raises(TableFileError, match=r"the origin of the table cannot be stored: .*; give JSON-able values"):
+        table.save(tmp_path / "t.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_unreadable_and_unwritable_places_are_named(tmp_path: Path) -> None:
     with pytest.raises(TableFileError, match="cannot be read: No such file"):
         LookupTable.load(tmp_path / "missing.npz")
