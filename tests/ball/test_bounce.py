@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_flight_file import bouncing
 
-from imolo.ball.bounce import before_bounce
+from imolo.ball.bounce import _Meetings, before_bounce
 from imolo.ball.evaluation import leave_one_out
 from imolo.ball.flight_file import read_tracks
 from imolo.ball.model import BallModelConfig
@@ -78,6 +78,12 @@ def test_ball_that_is_thrown_up_from_rest_does_not_bounce_there():
     # The hand gives it all of its velocity; a floor gives back twice of what fell at most.
     time, position, released, _ = bouncing(np.random.default_rng(0), 180.0, 0.8, 0.0005, rest=0.1)
     assert before_bounce(time, position).time[0] == pytest.approx(released, abs=1.0 / 180.0)
+
+
+def test_evidence_of_a_jump_is_its_squares_over_their_variances():
+    none, std = np.zeros((2, 3)), np.array([[1.0, 2.0, 0.5]] * 2)
+    jump = np.array([[0.0, -4.0, 1.0], [3.0, 0.0, -0.5]])
+    assert _Meetings(none, jump, none, std, none[:, 0]).evidence().tolist() == [8.0, 10.0]
 
 
 def test_noise_is_that_of_the_place():
