@@ -16,6 +16,13 @@ copyright = "imolo's authors, BSD-3-Clause"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build"]
 suppress_warnings = ["myst.xref_missing.none"]
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!imolo\.).*"),  # of other projects, and what a docstring calls its arguments
+    ("py:obj", r"imolo\.(actuators|backends|planners|robots|tasks)"),  # groups of entry points
+    ("py:class", r".*\.(Annotated|AnyModel|Config|Content|Item|Plugin|Result|Task)"),  # variables of types
+    ("py:class", r".*\._\w+|imolo\.method\.hit_kernel\..*"),  # private, and compiled
+]
 
 html_theme = "furo"
 html_title = "imolo"

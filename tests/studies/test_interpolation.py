@@ -108,7 +108,11 @@ def test_predicting_only_near_the_query_changes_no_choice() -> None:
     whole = nearest_tuple(theta, time, model.predict(theta, time), problem, GRID.time_tolerance)
     chosen = answer(problem, POOL, MOTION, WINDOW, GRID).choices["improved"]
     assert chosen.theta == whole.theta
-    assert chosen.distance == pytest.approx(whole.distance, abs=1e-12)
+    # Kernels are rounded in another way among fewer points, and the large weights of a smooth process magnify that; its
+    # standardised outputs have a scale below 1 m.
+    assert model._kernel_sum is not None
+    rounding = np.finfo(float).eps * np.abs(model._kernel_sum.weight).sum()
+    assert chosen.distance == pytest.approx(whole.distance, abs=rounding)
 
 
 def test_raw_table_chooses_a_motion_that_was_trained() -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 PACKAGES = ("imolo", "imolo_backends", "imolo_robots", "imolo_drivers")
 # What the command line's own page holds, what is compiled or copied, and what wraps one engine, which may be missing.
-LEFT_OUT = re.compile(r"\.__main__$|\.templates|\.commands$|_kernel$|\.(dart|drake|mujoco|ode|pybullet|sapien)_\w+$")
+LEFT_OUT = re.compile(
+    r"\.__main__$|\.templates|(?<!\.method)\.commands$|_kernel$|\.(dart|drake|mujoco|ode|pybullet|sapien)_\w+$"
+)
 
 
 def modules() -> Iterator[str]:
