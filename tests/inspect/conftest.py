@@ -41,7 +41,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     for index in (0, 1):
         planner = Planner(table, ball_model, method.planner, config.tracker)
         paths.append(folder / f"hit_{index}.lcmlog")
-        run_trial(config, Trial(TrialKind.HIT, index, 2), planner, paths[-1], 0.9)
+        run_trial(config, Trial(TrialKind.HIT, index, 3), planner, paths[-1], 0.9)
     return Recorded(paths[0], paths[1], folder / "table.npz")
 
 
