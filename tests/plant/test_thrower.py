@@ -71,14 +71,14 @@ def test_topspin_is_about_the_axis_across_the_throw() -> None:
 
 
 def test_balls_to_learn_from_have_no_topspin() -> None:
-    task = create_task(CONFIG)
+    task, count = create_task(CONFIG), 25
     lifts = {
-        kind: np.mean([task.throw(Trial(kind, index, 1)).lift for index in range(THROWS)], axis=0)
+        kind: np.mean([task.throw(Trial(kind, index, 1)).lift for index in range(count)], axis=0)
         for kind in (TrialKind.THROW, TrialKind.HIT)
     }
     per_spin = 0.5 * 1.2 * math.pi * 0.045**3
     # Four standard errors of a mean; the thrower's ways are within 10° of -x, so that the axes are of -y.
-    allowed = 4 * THROWER.spin_scatter * per_spin / math.sqrt(THROWS)
+    allowed = 4 * THROWER.spin_scatter * per_spin / math.sqrt(count)
     assert np.abs(lifts[TrialKind.THROW]).max() < allowed
     assert lifts[TrialKind.HIT][1] == pytest.approx(-THROWER.topspin * per_spin, rel=0.02, abs=allowed)
 
