@@ -15,12 +15,13 @@ from recorded_trials import WALL, Recorded, write_events
 
 from imolo.errors import BusError, ResultsError
 from imolo.inspect.export import ExportFormat, export
+from imolo.inspect.names import Names
 from imolo.inspect.top import log_table
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log_file import HEADER, SEARCHED, SYNC, LogEvent, LogReader, read_events
 from imolo.view.sessions import LiveSession
-from imolo_msgs import plan_t, trial_event_t, truth_ball_t, truth_robot_t
+from imolo_msgs import plan_t, robot_t, trial_event_t, truth_ball_t, truth_robot_t
 
 Events = list[LogEvent]
 
@@ -302,6 +303,24 @@ def test_terminal_shows_control_characters_and_does_not_obey_them(tmp_path: Path
         _, output, errors = run(*arguments)
         assert "\x1b" not in output + errors
         assert "\x07" not in output + errors
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mknee", "\n\n", "x" * 5000, "右膝", "$knee_{", ""])
+def test_joints_of_any_name_are_drawn(recorded: Recorded, tmp_path: Path, run: Run, name: str) -> None:
+    """A figure with room for 5,000 letters takes minutes, and control characters no font has."""
+
+    def renamed(event: LogEvent) -> LogEvent:
+        if event.channel != channels.ROBOT:
+            return event
+        message = robot_t.decode(event.data)
+        message.joint_name = [name] * len(message.joint_name)
+        return event._replace(data=message.encode())
+
+    path = write_events(tmp_path / "log", map(renamed, read_events(recorded.first)))
+    assert run("plot", path, "TRUTH_ROBOT.joint_angle", "--out", "a.png")[::2] == (0, "")
+    label = Names.of(path).label("TRUTH_ROBOT", "joint_angle", (0,))
+    assert len(label) <= len("[]") + 40
+    assert label.isprintable()
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
