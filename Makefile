@@ -37,7 +37,7 @@ docs: $(VIEWERS) ## Build the site of docs/ to build/site; links, names and code
 	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/site
 
 mutations: $(VIEWERS) ## Change the code at MUTATIONS random places (SEED) and see whether the tests notice.
-	$(BIN)/python -m pip install --quiet 'cosmic-ray>=8.4'
+	$(BIN)/python -m pip install --quiet 'cosmic-ray>=8.4' 'coverage>=7.10'
 	$(BIN)/python tools/mutations.py $(MUTATIONS) --seed $(SEED)
 
 lint: $(READY) ## Check style and types.

@@ -102,6 +102,21 @@ def test_what_cannot_be_chosen_is_refused_with_what_can(run: Run) -> None:
     assert "'parket' is not one of 'mcap', 'csv', 'parquet'" in errors
 
 
+@pytest.mark.parametrize(
+    ("arguments", "largest"),
+    [
+        (("throw",), 2**31 - 1),
+        (("up", "mujoco", "--balls"), 2**31 - 1),
+        (("hit", "mujoco", "--balls"), 2**31 - 1),
+        (("hit", "mujoco", "--seed"), 2**63 - 1),
+    ],
+)
+def test_number_that_no_message_holds_is_refused(run: Run, arguments: tuple[str, ...], largest: int) -> None:
+    code, _, errors = run(*arguments, largest + 1)
+    assert code == 2
+    assert f"less than or equal to {largest}" in errors
+
+
 @pytest.mark.parametrize("program", ["imolo", "-m imolo"])
 def test_version_is_that_of_the_distribution(program: str, tmp_path: Path) -> None:
     command = [IMOLO] if program == "imolo" else [sys.executable, "-m", "imolo"]

@@ -1,5 +1,7 @@
 """Progress and tables as a terminal shows them, and a pipe."""
 
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -102,3 +104,16 @@ def test_interruption_of_what_shows_progress_is_exit_code_130(
         raise KeyboardInterrupt
     assert ended.value.exit_code == 130
     assert capsys.readouterr().err == "imolo: interrupted; 3 are kept\n"
+
+
+@pytest.mark.parametrize("kind", ["a line", "a status line", "a warning"])
+def test_text_of_others_steers_no_terminal(kind: str) -> None:
+    """A name that a program, a robot or a camera gives itself is quoted in lines of live programs and in warnings."""
+    said = {
+        "a line": "program.Console('test').say('\\x1b[2J')",
+        "a status line": "program.TERMINAL_STATUS = 0.0; program.Console('test').status(lambda: '\\x1b[2J')",
+        "a warning": "main.app = lambda: logging.getLogger('x').warning('%s', '\\x1b[2J'); main.main()",
+    }[kind]
+    code = f"import logging; from imolo.command_line import main; from imolo.live import program; {said}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stderr.rstrip().endswith(r"\x1b[2J")

@@ -1,9 +1,10 @@
 """C functions that compiled code calls by their address, so that no Python runs between the steps of a simulation."""
 
-from collections.abc import Callable
+import ctypes
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -47,13 +48,36 @@ def c_function(function: Any, *arguments: Any) -> CFunction:
     return CFunction(made.library.get_pointer_to_function(made.fndesc.llvm_cfunc_wrapper_name), arguments)
 
 
+def external(library: ctypes.CDLL, name: str, returned: Any, *arguments: Any) -> Any:
+    """Return a C function for compiled code, where it ends the process if the library has none; see `has_all`."""
+    if hasattr(library, name):
+        binding.add_symbol(name, ctypes.cast(library[name], ctypes.c_void_p).value)
+    return types.ExternalFunction(name, returned(*arguments))
+
+
+def has_all(library: ctypes.CDLL, functions: Iterable[Any]) -> bool:
+    """Return whether a library has all of these `external` functions."""
+    return all(hasattr(library, function.symbol) for function in functions)
+
+
+def answer_of(library: ctypes.CDLL, name: str, *ids: int) -> int:
+    """Return the id or address that a C function returns."""
+    function = library[name]
+    function.restype = ctypes.c_size_t
+    return int(function(*map(ctypes.c_size_t, ids)))
+
+
+def definer(owner: Any, method: str) -> type[Any]:
+    """Return the class that defines a method of an object."""
+    return next(kind for kind in type(owner).__mro__ if method in vars(kind))
+
+
 def twin(owner: Any, method: str, *given: Any) -> Any:
     """Return what `compiled_…` of the class that defines a method returns.
 
     None where there is no such method: a subclass that defines the method anew has no part in what it replaced.
     """
-    definer = next(kind for kind in type(owner).__mro__ if method in vars(kind))
-    compiled = vars(definer).get(f"compiled_{method}")
+    compiled = vars(definer(owner, method)).get(f"compiled_{method}")
     return None if compiled is None else compiled(owner, *given)
 
 

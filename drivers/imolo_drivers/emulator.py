@@ -40,6 +40,7 @@ logger = logging.getLogger(__name__)
 MODEL_ID = 1  # of the robot in Motive
 LONGEST_TURN = 0.001  # [s] of the simulation between two looks at the network
 GIVE_UP = 0.1  # [s] behind the clock on the wall from which lost time is not made up for
+FRAME_NUMBERS = 2**31  # that a packet can hold: 207 days at 120 Hz
 FOREVER = 1_000_000_000  # [µs] for which the valves hold what they were given last
 ARM_AFTER = 200_000  # [µs] a person takes longer
 IDLE = Trial(TrialKind.TRAINING, 0, 0)  # the robot rests in its ready pose, and nobody throws
@@ -201,6 +202,9 @@ class EmulatedRobot:
         except ValueError:
             self._say(f"unknown kind of trial {message.announced_kind!r}; nothing will be thrown")
             return
+        if min(message.announced_index, message.announced_seed) < 0:
+            self._say("chance knows no trial with a number or seed below 0; nothing will be thrown")
+            return
         self._waiting = self._prepare(Trial(kind, message.announced_index, message.announced_seed))
         self._announced = monotonic_utime()
 
@@ -241,8 +245,8 @@ class EmulatedRobot:
             self._say(f"in truth: {event.event} at {event.utime * 1e-6:.3f} s, {event.detail}")
 
     def _show(self, message: mocap_frame_t) -> None:
-        """Send a frame as Motive does: in its own axes, numbered without end."""
-        self._frames = self._first_frame + message.frame_number
+        """Send a frame as Motive does: in its own axes, numbered on from trial to trial."""
+        self._frames = (self._first_frame + message.frame_number) % FRAME_NUMBERS
         exposed = (self._begin + message.utime) * 1e-6
         places = np.array([marker.marker_position for marker in message.markers]).reshape(-1, 3)
         markers = []

@@ -1,7 +1,6 @@
 """Find and follow the ball among the markers of the motion-capture frames (paper Sec. V-C)."""
 
 import logging
-import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
+FARTHEST = 1e3  # [m] of a marker from the origin, the axes added up; assumed: no cameras see so far
 UNKNOWN_VELOCITY = 10.0  # [m/s] standard deviation of a velocity that was not estimated, assumed: faster than any throw
 
 
@@ -81,7 +81,7 @@ class TrackerCounters:
         dropouts: Frames in which a ball that was followed had no marker.
         ghosts: Unlabelled markers that were not the ball.
         late_frames: Frames not newer than the newest one.
-        invalid_markers: Markers with a coordinate that is not finite.
+        invalid_markers: Markers with a coordinate that is not finite, or of kilometres.
         restarts: Tracks whose filter contradicted the last samples and began anew.
     """
 
@@ -188,10 +188,10 @@ class BallTracker:
         robot, unlabelled = [], []
         for marker in frame.markers:
             x, y, z = marker.marker_position
-            if not math.isfinite(x + y + z):
+            if not abs(x) + abs(y) + abs(z) < FARTHEST:  # NaN is not, either
                 self.counters.invalid_markers += 1
                 self._warn_once(
-                    "a mocap frame (%d) has a marker that is not finite; such markers are ignored", frame.utime
+                    "a mocap frame (%d) has a marker that is nowhere in the room; such markers are ignored", frame.utime
                 )
             elif marker.marker_id == marker_t.UNLABELLED:
                 unlabelled.append((x, y, z))

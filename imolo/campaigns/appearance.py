@@ -4,6 +4,7 @@ An engine has the same colour, marker and line everywhere, and nothing that is n
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -139,7 +140,9 @@ def element_colors(count: int) -> list[str]:
 
 def write_figure(figure: Figure, file: BinaryIO | Path, kind: str) -> None:
     """Write a figure; an SVG follows a dark page, and is the same for the same figure."""
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        # A name in an alphabet that the font does not have is drawn as boxes.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         if kind != "svg":
             figure.savefig(file, format=kind, bbox_inches="tight", facecolor=PAPER)
             return

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imolo.command_line.options import LARGEST_SEED, MOST_BALLS
 from imolo.command_line.terminal import say
 
 # Imported by what needs it, so that `--help` stays quick.
@@ -22,8 +23,8 @@ Configs = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option(help="Results folder.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the seed of the configs.")]
-Balls = Annotated[int | None, typer.Option(min=1, help="Replaces the number of balls of the configs.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Replaces the seed of the configs.")]
+Balls = Annotated[int | None, typer.Option(min=1, max=MOST_BALLS, help="Replaces the number of balls of the configs.")]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Delete the trials in the results folder and run all anew.")]
 Scheduler = Annotated[
     str | None, typer.Option(help="Run the trials on the workers of this Dask scheduler, such as tcp://127.0.0.1:8786.")

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from imolo.campaigns import commands as campaign_commands
 from imolo.command_line.options import Config
-from imolo.command_line.terminal import INTERRUPTED, complain, show
+from imolo.command_line.terminal import INTERRUPTED, PlainFormatter, complain, show
 from imolo.conformance import commands as conformance_commands
 from imolo.errors import ImoloError
 from imolo.identification import commands as identification_commands
@@ -144,7 +144,9 @@ def main() -> None:
         # What a terminal's alphabet does not have is written as its number.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    handler = logging.StreamHandler()
+    handler.setFormatter(PlainFormatter("%(levelname)s: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     # joblib replaces a process that has grown; its tasks are run all the same.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     if not provide_caches():

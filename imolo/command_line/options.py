@@ -8,6 +8,8 @@ import typer
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """The default of `Jobs`: the cores that this process may use, as `taskset` and containers set them."""
 
+MOST_BALLS, LARGEST_SEED = 2**31 - 1, 2**63 - 1  # what messages hold
+
 Config = Annotated[
     str, typer.Argument(metavar="CONFIG", help="A backend by name, or a YAML as `imolo config` writes it.")
 ]

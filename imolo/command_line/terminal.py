@@ -1,5 +1,6 @@
 """How commands speak to the user: lines, tables, complaints, progress."""
 
+import logging
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -22,6 +23,14 @@ errors = Console(stderr=True)
 def plain(text: str) -> str:
     """Return text from elsewhere with its control characters made visible, so that a terminal does not obey them."""
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+
+
+class PlainFormatter(logging.Formatter):
+    """Writes warnings, which may quote files and messages of others, as `plain` does."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        return plain(super().format(record))
 
 
 def say(text: str) -> None:

@@ -73,7 +73,7 @@ class CampaignConfig(Model):
     """How many balls, how long a trial lasts, and where it runs."""
 
     learning_throws: Annotated[int, Field(ge=3)] = Field(10, description="to learn how balls fly, Sec. V-C")
-    balls: Annotated[int, Field(ge=1)] = Field(20, description="to be hit, Sec. VII-B")
+    balls: Annotated[int, Field(ge=1, lt=2**31)] = Field(20, description="to be hit, Sec. VII-B")
     duration: Positive = Field(1.6, description="longest trial with a ball [s]")
     tail: NonNegative = Field(0.05, description="recorded after the ball was hit or has landed [s]")
     parallel: ParallelConfig = ParallelConfig()
@@ -94,7 +94,7 @@ class MethodConfig(Model):
 class ExperimentConfig(Model):
     """An experiment on one backend; a robot has a subclass with its own kinds of motion and actuators."""
 
-    seed: Annotated[int, Field(ge=0)] = Field(1, description="of everything that is drawn by chance")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of everything that is drawn by chance")
     bus: str = Field(
         "memq://", description="LCM URL; memq:// stays in the process and repeats exactly, udpm:// lets lcm-spy watch"
     )

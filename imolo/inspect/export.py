@@ -30,7 +30,7 @@ TRIAL_IN_LOG = "trial_in_log"  # column of a log of several trials: which of the
 ABOUT = "csv-metadata.json"  # beside CSV files: their columns, as W3C's "Metadata Vocabulary for Tabular Data" has it
 CSV_TYPES = {int: "integer", float: "double", str: "string"}
 SOURCE = "exported_from.txt"  # beside the tables: the log they were made of
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would take a text that begins so for a formula
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")  # a spreadsheet would take a text that begins so for a formula
 BATCH = 10_000  # rows written at once
 
 Rows = Iterator[list[Value | None]]

@@ -1,8 +1,10 @@
 """Names and units of the elements of messages, as the robot of a log says them: "right knee" instead of [1]."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from imolo.command_line.terminal import plain
 from imolo.messaging.channels import ROBOT, TRIAL
 from imolo.messaging.log import decode
 from imolo.messaging.log_file import LogReader
@@ -17,6 +19,9 @@ NAMED = {
     ("TRUTH_ROBOT", "joint_velocity"): (0, "joint_name", "joint_unit", "/s"),
     ("TRUTH_ROBOT", "effector_position"): (0, "effector_name", "", ""),
 }
+
+
+LONGEST = 40  # characters of a name that are shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +61,7 @@ class Names:
             index: One number for each dimension of the array, from 0.
         """
         named, names, *_ = NAMED.get((channel, field), (-1, "", "", ""))
-        known = getattr(self.robot, names, ()) if self.robot is not None else ()
+        known = self._shown(names)
         parts = [
             known[number] if dimension == named and 0 <= number < len(known) else str(number)
             for dimension, number in enumerate(index)
@@ -72,9 +77,14 @@ class Names:
             index: One number for each dimension of the array.
         """
         named, _, units, suffix = NAMED.get((channel, field), (-1, "", "", ""))
-        known = getattr(self.robot, units, ()) if self.robot is not None else ()
+        known = self._shown(units)
         number = index[named] if 0 <= named < len(index) else len(known)
         return known[number] + suffix if -len(known) <= number < len(known) else ""
+
+    def _shown(self, field: str) -> list[str]:
+        """Return names of the robot fit for a figure or a terminal, whatever is in them."""
+        names: Sequence[str] = getattr(self.robot, field, ()) if self.robot is not None else ()
+        return [plain(name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…") for name in names]
 
 
 INDICES = Names()

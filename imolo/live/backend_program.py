@@ -194,11 +194,15 @@ def _next_index(folder: Path) -> int:
 
     A log without an end is of a backend that was killed: it is set aside, and its ball thrown again.
     """
-    logs = sorted(folder.glob(f"{TrialKind.HIT.value}_*.lcmlog"))
-    if logs and not _is_whole(logs[-1]):
-        last = logs.pop()
+    logs = {
+        int(number): path
+        for path in folder.glob(f"{TrialKind.HIT.value}_*.lcmlog")
+        if (number := path.stem.rpartition("_")[2]).isdecimal()
+    }
+    if logs and not _is_whole(logs[max(logs)]):
+        last = logs.pop(max(logs))
         set_aside(last, last)
-    return int(logs[-1].stem.rpartition("_")[2]) + 1 if logs else 0
+    return max(logs, default=-1) + 1
 
 
 def _is_whole(path: Path) -> bool:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from imolo.command_line.options import Bus, Config, Method
+from imolo.command_line.options import MOST_BALLS, Bus, Config, Method
 from imolo.messaging.udpm import LOCAL_URL
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ TablePath = Annotated[
     Path | None,
     typer.Option("--table", help="Table of `imolo learn`.", show_default="the newest of the backend under results/"),
 ]
-Count = Annotated[int, typer.Argument(min=1, help="Number of balls.")]
+Count = Annotated[int, typer.Argument(min=1, max=MOST_BALLS, help="Number of balls.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True, help="End when the parent has ended.")]
 
 
@@ -104,7 +104,7 @@ def throw(count: Count = 1, bus: Bus = LOCAL_URL) -> None:
 @app.command()
 def up(
     config: Config,
-    balls: Annotated[int, typer.Option(min=1, help="Number of balls.")] = 5,
+    balls: Annotated[int, typer.Option(min=1, max=MOST_BALLS, help="Number of balls.")] = 5,
     clock: Clock = "realtime",
     table: TablePath = None,
     method: Method = "improved",

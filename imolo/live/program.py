@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
+from imolo.command_line.terminal import plain
 from imolo.live.node import BEAT, Node
 
 TERMINAL_STATUS = 0.5  # [s] between two status lines on a terminal, where each replaces the last
@@ -29,9 +30,9 @@ class Console:
         self._open = False
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Print a line; programs of others are quoted in it."""
         self._clear()
-        print(f"imolo {self._name}: {text}", file=sys.stderr, flush=True)
+        print(f"imolo {self._name}: {plain(text)}", file=sys.stderr, flush=True)
 
     def status(self, text: Callable[[], str]) -> None:
         """Print the status line if it is time."""
@@ -39,7 +40,7 @@ class Console:
         if now < self._next:
             return
         self._next = now + self._period
-        line = f"imolo {self._name}: {text()}"
+        line = f"imolo {self._name}: {plain(text())}"
         if self._terminal:
             self._clear()
             print(line[: shutil.get_terminal_size().columns - 1], end="", file=sys.stderr, flush=True)

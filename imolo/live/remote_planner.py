@@ -298,9 +298,9 @@ class RealtimePlanner(RemotePlanner):
         if self._command is None or self._inside is None:
             self._console.say(f"{lost} at {utime * 1e-6:.3f} s; the robot is at rest and stays so")
             return
-        sequence = (self._command.command_sequence + 1) % 2**31
         released = np.array([[channel.released for channel in self._channels]])
-        vent = Commands(utime - 1, (utime,), released).to_message(utime, sequence, self._planner)
+        newer = self._command.command_sequence + 1
+        vent = Commands(utime - 1, (utime,), released).to_message(utime, newer, self._planner)
         self._inside.publish(channels.ACTUATOR_COMMAND, vent)
         self._bus.publish(channels.ACTUATOR_COMMAND, vent)
         self._console.say(f"{lost} at {utime * 1e-6:.3f} s; all channels are released")

@@ -11,8 +11,6 @@ from packaging.requirements import Requirement
 
 from imolo.errors import MissingToolError
 
-ASKED = re.compile(r'(?:\(?(.*?)\)? and )?extra == "([^"]+)"')  # marker of a requirement: its conditions, its extra
-
 
 def import_extra(module: str, extra: str) -> Any:
     """Import a module of an optional dependency.
@@ -38,14 +36,16 @@ def how_to_install(extra: str, requirements: Iterable[str]) -> str:
     """
     conditions: list[str] = []
     packages: list[str] = []
+    asked = f'extra == "{extra}"'
     for requirement in map(Requirement, requirements):
-        asked = ASKED.fullmatch(str(requirement.marker or ""))
-        if asked is None or asked[2] != extra or requirement.marker is None:
+        marker, requirement.marker = requirement.marker, None
+        if marker is None or asked not in str(marker):
             continue
-        if requirement.marker.evaluate({"extra": extra}):
-            packages.append(f'"{requirement.name}{requirement.specifier}"')
+        if marker.evaluate({"extra": extra}):
+            packages.append(f'"{requirement}"')
         else:
-            needed = asked[1].replace("python_version", "Python").replace('"', "")
+            needed = re.sub(f"{asked} and | and {asked}", "", str(marker)).strip("()")
+            needed = needed.replace("python_version", "Python").replace('"', "")
             conditions.append(f"{requirement.name} needs {needed}")
     if packages:
         return f"install it with: pip install {' '.join(packages)}"

@@ -168,14 +168,13 @@ class LogReader:
     def _warn(self, steps: list[tuple[int, int]]) -> None:
         if self.damage:
             self.damage.sort(key=lambda part: part.start)
-            others = f", and {self._damaged - 1} more" if self._damaged > 1 else ""
+            others = _others(self._damaged - 1)
             logger.warning("%s is damaged: %s%s; the rest was read", self.path, self.damage[0], others)
         if steps:
             after, back = steps[0]
-            others = f", and {len(steps) - 1} times more" if len(steps) > 1 else ""
             logger.warning(
                 "the clock of %s steps back by %.6f s after %.6f s%s; what follows is taken to go on from there",
-                *(self.path, back * 1e-6, after * 1e-6, others),
+                *(self.path, back * 1e-6, after * 1e-6, _others(len(steps) - 1)),
             )
 
     def _event(self, header: _Header) -> LogEvent:
@@ -256,6 +255,10 @@ class LogReader:
 
 
 @lru_cache(maxsize=1024)
+def _others(count: int) -> str:
+    return f", and {count} more" if count else ""
+
+
 def _name(channel: bytes) -> str:
     """Return the name of a channel; empty if it can be none."""
     return "" if b"\0" in channel else channel.decode("utf-8", "backslashreplace")

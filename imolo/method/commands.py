@@ -25,6 +25,11 @@ def to_microseconds(time: float) -> int:
     return round(time * 1e6)
 
 
+def wrap(sequence: int) -> int:
+    """Return a number as the 32 bits of a message hold it: -2**31 follows 2**31 - 1."""
+    return (sequence + 2**31) % 2**32 - 2**31
+
+
 @dataclass(frozen=True, eq=False)
 class Commands:
     """The time series of the control target U (Sec. III), on the clock of the messages.
@@ -116,12 +121,12 @@ class Commands:
 
         Args:
             utime: Time of the mocap frame the commands answer [µs].
-            command_sequence: Number of the message.
+            command_sequence: Number of the message; goes on as `wrap` says.
             commander: Instance of the program that commands; 0 where there is but one.
         """
         message = actuator_command_t()
         message.utime = utime
-        message.command_sequence = command_sequence
+        message.command_sequence = wrap(command_sequence)
         message.onset_utime = self.onset_utime
         message.commander = commander
         message.num_phases, message.num_targets = self.targets.shape

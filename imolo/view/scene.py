@@ -1,5 +1,6 @@
 """The scene in the browser: robot, ball, markers, predicted path and target of each session."""
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,8 @@ from imolo.contracts.robot import Body
 from imolo.messaging import channels
 from imolo.view.sessions import Moment
 from imolo_msgs import marker_t, mocap_frame_t, plan_t, truth_ball_t, truth_robot_t
+
+logger = logging.getLogger(__name__)
 
 Color = tuple[int, int, int]
 
@@ -76,6 +79,7 @@ class SessionScene:
             root_node_name=f"{self._root}/robot",
             mesh_color_override=tint,
         )
+        self._body, self._warned = body, False
         self._order = [body.joint_names.index(joint) for joint in self._robot.get_actuated_joint_names()]
         radius = BallConfig().radius
         self._ball = self._scene.add_icosphere(
@@ -105,6 +109,12 @@ class SessionScene:
 
     def _show_robot(self, truth: truth_robot_t | None) -> None:
         if truth is None:
+            return
+        if len(truth.joint_angle) != len(self._body.joint_names):
+            if not self._warned:
+                self._warned = True
+                numbers = len(truth.joint_angle), self._body.name, len(self._body.joint_names)
+                logger.warning("a robot of %d joints is not shown; %s has %d", *numbers)
             return
         self._trunk.position = np.array(truth.base_position)
         self._trunk.wxyz = np.array(truth.base_quaternion)

@@ -96,6 +96,9 @@ def test_advice_names_the_package_itself_since_imolo_may_be_on_no_index() -> Non
     assert how_to_install("dart", requirements) == 'install it with: pip install "dartpy>=6.20"'
     assert how_to_install("export", requirements) == 'install it with: pip install "mcap>=1" "a<2"'
     assert how_to_install("none", requirements) == ""
+    assert how_to_install("farm", ["dask[distributed,array]<9,>=1; extra == 'farm'", "b; extra == 'farms'"]).endswith(
+        ' "dask[array,distributed]<9,>=1"'
+    )
 
 
 @pytest.mark.parametrize(
@@ -103,6 +106,7 @@ def test_advice_names_the_package_itself_since_imolo_may_be_on_no_index() -> Non
     [
         ("python_version < '3' and extra == 'bullet'", "bullet needs Python < 3; this is Python"),
         ("(sys_platform == 'plan9') and extra == 'bullet'", "bullet needs sys_platform == plan9; this is Python"),
+        ("extra == 'bullet' and python_version < '3'", "bullet needs Python < 3; this is Python"),
     ],
 )
 def test_package_that_is_not_for_this_python_or_system_is_not_advised(marker: str, needs: str) -> None:

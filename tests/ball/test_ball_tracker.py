@@ -2,6 +2,7 @@ import logging
 
 import numpy as np
 import pytest
+from aerodynamic_flights import known
 from ball_flights import RATE, drag, fly, make_frame, record, release
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -95,6 +96,22 @@ def test_near_marker_and_labelled_marker_are_not_the_ball(model):
     for i, (near, labelled) in enumerate(zip(flight, far, strict=True)):
         robot = [(0.0, 0.1 * k, 0.7) for k in range(30)]
         assert tracker.update(make_frame(utime(i), [near[:3]], [*robot, labelled[:3]])) is None
+
+
+@pytest.mark.parametrize("place", [1e4, 1e8, 1e100, 1e160, 1.7e308])
+@pytest.mark.parametrize("kind", ["linear", "spin"])
+def test_marker_beyond_all_measure_spoils_no_flight(model, kind, place):
+    """What a camera, or another program on its bus, may send; finite, but its square is not."""
+    chosen = model if kind == "linear" else known(kind)
+    rng, tracker, alone = np.random.default_rng(1), BallTracker(chosen), BallTracker(chosen)
+    states, _ = scene(rng)
+    for i, frame in enumerate(frames(states, rng)):
+        ball = frame.markers[-1].marker_position
+        estimate, expected = tracker.update(make_frame(utime(i), [(place, 0.0, 1.0), ball])), alone.update(frame)
+        flies = expected is not None and expected.in_flight
+        assert flies == (estimate is not None and estimate.in_flight)
+        if flies:
+            assert np.array_equal(estimate.state, expected.state)
 
 
 def test_ghosts_do_not_capture_the_track(model):

@@ -115,6 +115,19 @@ def test_date_is_a_text(tmp_path: Path) -> None:
         load(tmp_path, GOOD + "seed: 2020-13-45\n")
 
 
+@pytest.mark.parametrize(("key", "largest"), [("seed", 2**63 - 1), ("balls", 2**31 - 1)])
+def test_numbers_are_those_that_a_message_holds(tmp_path: Path, key: str, largest: int) -> None:
+    def config(number: int) -> Path:
+        text = f"seed: {number}" if key == "seed" else f"campaign: {{balls: {number}}}"
+        (tmp_path / "config.yaml").write_text(f"backend: {{name: mujoco}}\n{text}\n", encoding="utf-8")
+        return tmp_path / "config.yaml"
+
+    chosen = load_config(config(largest))
+    assert largest in (chosen.seed, chosen.campaign.balls)
+    with pytest.raises(ConfigError, match=f"{key}' is {largest + 1}: Input should be less than"):
+        load_config(config(largest + 1))
+
+
 def test_wrong_key_of_a_method_has_a_hint_too(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="did you mean 'forward_model'"):
         load(tmp_path, GOOD + "methods: {paper: {forward_modle: {}}}\n")

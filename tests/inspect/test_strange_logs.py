@@ -15,12 +15,13 @@ from recorded_trials import WALL, Recorded, write_events
 
 from imolo.errors import BusError, ResultsError
 from imolo.inspect.export import ExportFormat, export
+from imolo.inspect.names import Names
 from imolo.inspect.top import log_table
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log_file import HEADER, SEARCHED, SYNC, LogEvent, LogReader, read_events
 from imolo.view.sessions import LiveSession
-from imolo_msgs import plan_t, trial_event_t, truth_ball_t
+from imolo_msgs import plan_t, robot_t, trial_event_t, truth_ball_t, truth_robot_t
 
 Events = list[LogEvent]
 
@@ -140,13 +141,17 @@ def test_clock_that_steps_back_goes_on_where_it_was(recorded: Recorded, tmp_path
     assert times == sorted(times)
 
 
-def test_step_back_is_told_once_with_when_and_how_far(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    events = [LogEvent(0, utime, "A", b"", 0) for utime in (10, 2_000_000, 500_000, 500_000, 600_000, 100_000)]
+@pytest.mark.parametrize(("later", "others"), [((), ""), ((100_000,), ", and 1 more"), ((9, 8), ", and 2 more")])
+def test_step_back_is_told_once_with_when_and_how_far(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, later: tuple[int, ...], others: str
+) -> None:
+    utimes = (10, 2_000_000, 500_000, 500_000, 600_000, *later)
+    events = [LogEvent(0, utime, "A", b"", 0) for utime in utimes]
     path = write_events(tmp_path / "log", events)
     with caplog.at_level(logging.WARNING):
         assert len(list(read_events(path))) == len(events)
     (message,) = caplog.messages
-    assert "steps back by 1.500000 s after 2.000000 s, and 1 times more" in message
+    assert f"steps back by 1.500000 s after 2.000000 s{others}; what follows" in message
 
 
 def test_nested_log_is_one_message(recorded: Recorded, tmp_path: Path) -> None:
@@ -265,7 +270,16 @@ def test_export_replaces_its_own_and_nothing_else(recorded: Recorded, tmp_path: 
 
 @pytest.mark.parametrize(
     ("text", "cell"),
-    [("=1+1", "'=1+1"), ("+1", "'+1"), ("-1", "'-1"), ("@x", "'@x"), ("\t=x", "'\t=x"), ("a=1", "a=1"), ("", "")],
+    [
+        ("=1+1", "'=1+1"),
+        ("+1", "'+1"),
+        ("-1", "'-1"),
+        ("@x", "'@x"),
+        ("\t=x", "'\t=x"),
+        ("\n=x", "'\n=x"),
+        ("a=1", "a=1"),
+        ("", ""),
+    ],
 )
 def test_text_in_a_table_is_no_formula(tmp_path: Path, text: str, cell: str) -> None:
     event = trial_event_t()
@@ -289,6 +303,24 @@ def test_terminal_shows_control_characters_and_does_not_obey_them(tmp_path: Path
         _, output, errors = run(*arguments)
         assert "\x1b" not in output + errors
         assert "\x07" not in output + errors
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mknee", "\n\n", "x" * 5000, "右膝", "$knee_{", ""])
+def test_joints_of_any_name_are_drawn(recorded: Recorded, tmp_path: Path, run: Run, name: str) -> None:
+    """A figure with room for 5,000 letters takes minutes, and control characters no font has."""
+
+    def renamed(event: LogEvent) -> LogEvent:
+        if event.channel != channels.ROBOT:
+            return event
+        message = robot_t.decode(event.data)
+        message.joint_name = [name] * len(message.joint_name)
+        return event._replace(data=message.encode())
+
+    path = write_events(tmp_path / "log", map(renamed, read_events(recorded.first)))
+    assert run("plot", path, "TRUTH_ROBOT.joint_angle", "--out", "a.png")[::2] == (0, "")
+    label = Names.of(path).label("TRUTH_ROBOT", "joint_angle", (0,))
+    assert len(label) <= len("[]") + 40
+    assert label.isprintable()
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
@@ -376,6 +408,30 @@ def test_view_shows_names_as_text(recorded: Recorded, monkeypatch: pytest.Monkey
     assert "&lt;b&gt;one&lt;/b&gt;" in legend
     assert "&lt;img src=x&gt;" in legend
     assert "<img" not in legend
+
+
+def test_view_passes_over_a_robot_of_another_number_of_joints_and_says_so_once(
+    recorded: Recorded, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As where another robot plays than the one that is looked at."""
+    from imolo.view import viewer
+
+    def shorter(event: LogEvent) -> LogEvent:
+        if event.channel != channels.TRUTH_ROBOT:
+            return event
+        message = truth_robot_t.decode(event.data)
+        message.num_joints -= 1
+        message.joint_angle, message.joint_velocity = message.joint_angle[:-1], message.joint_velocity[:-1]
+        return event._replace(data=message.encode())
+
+    session = viewer.RecordedSession(write_events(tmp_path / "log", map(shorter, read_events(recorded.first))), "one")
+    with caplog.at_level(logging.WARNING):
+        viewer.write_html([session], tmp_path / "view.html", 10.0)
+    session.close()
+    body = viewer.describe(session.robot)
+    joints = len(body.joint_names)
+    assert caplog.messages == [f"a robot of {joints - 1} joints is not shown; {body.name} has {joints}"]
+    assert (tmp_path / "view.html").stat().st_size > 0
 
 
 def test_view_of_hours_asks_for_a_trial(recorded: Recorded, tmp_path: Path, run: Run) -> None:

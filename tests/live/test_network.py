@@ -47,6 +47,20 @@ def test_wrong_url_names_the_value_and_what_is_right(url: str, parts: tuple[str,
     assert all(part in str(caught.value) for part in (repr(url), *parts))
 
 
+@pytest.mark.usefixtures("network")
+@pytest.mark.parametrize(
+    ("name", "lowest", "highest"),
+    [("port", 1, 65535), ("ttl", 0, 255), ("recv_buf_size", 1, 2**31 - 1), ("transmit_only", 0, 1)],
+)
+def test_numbers_of_a_url_have_the_bounds_that_are_told(name: str, lowest: int, highest: int) -> None:
+    group, between = ("udpm://239.255.76.67", ":") if name == "port" else (URL, f"&{name}=")
+    for fitting in (lowest, highest):
+        assert f"{between}{fitting}" in udpm.check_url(f"{group}{between}{fitting}")
+    for outside in (lowest - 1, highest + 1):
+        with pytest.raises(BusError, match=f"{name} '{outside}'; give {lowest} to {highest}$"):
+            udpm.check_url(f"{group}{between}{outside}")
+
+
 def test_missing_route_is_told_with_the_recipe() -> None:
     with (
         namespace(route=False),

@@ -16,10 +16,11 @@ from network import URL
 from programs import Lab, lab
 
 from imolo.contracts.trial import EventName
+from imolo.live.backend_program import _next_index
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import read_log
+from imolo.messaging.log import Recorder, read_log
 from imolo_msgs import trial_event_t
 
 pytestmark = pytest.mark.usefixtures("network")
@@ -38,6 +39,28 @@ def realtime(learned: Learned, tmp_path: Path) -> Iterator[Lab]:
 def lockstep(learned: Learned, tmp_path: Path) -> Iterator[Lab]:
     with lab(learned.config_path, learned.table_path, tmp_path, "lockstep") as opened:
         yield opened
+
+
+def write_ball(path: Path, *names: EventName) -> None:
+    bus = Bus()
+    with Recorder(bus, path, lambda: 0):
+        for name in names:
+            event = trial_event_t()
+            event.event = name.value
+            bus.publish(channels.TRIAL, event)
+        bus.drain()
+
+
+def test_session_goes_on_after_the_highest_number_of_whole_balls(tmp_path: Path) -> None:
+    """By number, not by name: 1000 comes before 999 there; what somebody else put into the folder has no number."""
+    assert _next_index(tmp_path) == 0
+    for name in ("hit_009", "hit_999", "hit_1000", "hit_mine", "throw_2000"):
+        write_ball(tmp_path / f"{name}.lcmlog", EventName.START, EventName.END)
+    assert _next_index(tmp_path) == 1001
+    write_ball(tmp_path / "hit_1001.lcmlog", EventName.START)
+    assert _next_index(tmp_path) == 1001
+    assert [path.name for path in (tmp_path / "void").iterdir()] == ["hit_1001_0.lcmlog"]
+    assert _next_index(tmp_path) == 1001
 
 
 def wait_for_event(bus: Bus, name: EventName) -> trial_event_t:

@@ -29,6 +29,7 @@ from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
 from imolo.messaging.log import read_log
 from imolo.messaging.log_file import read_events
+from imolo_drivers.board.command import is_newer
 from imolo_msgs import actuator_command_t, envelope_t, heartbeat_t, mocap_frame_t, step_answer_t, step_request_t
 
 CONFIG = config_for("mujoco")
@@ -121,6 +122,20 @@ def test_second_commander_vents_the_robot_and_voids_the_trial(order: tuple[str, 
     with pytest.raises(TrialVoidError, match="commander 7 commands the robot beside planner"):
         stage.step(10_000 + round(VENTED * 1e6))
     assert stage.heard[-1] is vent
+
+
+@pytest.mark.parametrize("sequence", [2**31 - 1, -5, -1, -(2**31)])
+def test_vent_is_newer_than_what_it_follows_past_the_end_of_the_numbers(sequence: int) -> None:
+    """A valve board refuses commands that are not."""
+    stage = Stage()
+    stage.frame(1000)
+    stage.command(1000, stage.planner.instance, sequence)
+    stage.step(1000)
+    stage.command(1000, STRANGER)
+    stage.step(2000)
+    followed, vent = stage.heard
+    assert followed.command_sequence == sequence
+    assert is_newer(vent.command_sequence, sequence)
 
 
 def test_stranger_who_commands_at_the_very_end_voids_the_trial_as_well() -> None:

@@ -88,6 +88,24 @@ def test_cut_log_says_when_and_where(
     assert caplog.messages == [f"{path} is damaged: the log is cut off after 0.060000 s ({place}); the rest was read"]
 
 
+@pytest.mark.parametrize(("broken", "others"), [((2,), ""), ((2, 5), ", and 1 more"), ((2, 5, 8), ", and 2 more")])
+def test_first_damage_is_told_and_the_others_are_counted(
+    whole: bytes,
+    starts: list[int],
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    broken: tuple[int, ...],
+    others: str,
+) -> None:
+    content = bytearray(whole)
+    for number in broken:
+        content[starts[number]] ^= 1
+    with caplog.at_level(logging.WARNING):
+        numbers(tmp_path / "log", bytes(content))
+    (message,) = caplog.messages
+    assert f"(bytes {starts[2]} to {starts[3]}){others}; the rest was read" in message
+
+
 def test_garbage_after_the_last_event_costs_no_event(whole: bytes, tmp_path: Path) -> None:
     assert numbers(tmp_path / "log", whole + b"garbage" * 9) == list(range(COUNT))
 

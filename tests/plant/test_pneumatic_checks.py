@@ -54,3 +54,17 @@ def test_a_parameter_that_is_a_hundredth_off_is_seen(parameter: str, name: str) 
     slow = {"valve_dead_time": 0.01}  # of the default one, a hundredth is less than a step
     wrong = {parameter: 1.01 * getattr(LiberobotAir(**slow), parameter)}
     assert failed(name, drive(wrong, **slow)) != []
+
+
+class Leaking(Pneumatics):
+    """Its tanks lose a billionth of their air at every step."""
+
+    def step(self, joint_angle: NDArray[np.float64], joint_velocity: NDArray[np.float64]) -> None:
+        super().step(joint_angle, joint_velocity)
+        self._state[self._tank] *= 1.0 - 1e-9
+
+
+def test_a_tank_that_leaks_while_it_is_shut_off_is_seen() -> None:
+    limits = BODY.joint_limits
+    checked = PneumaticDrive(LiberobotAir(), limits, lambda config, angle: Leaking(config, SUBSTEP, limits, angle))
+    assert any("while venting" in measurement for measurement in failed("tank_balance", checked))

@@ -9,7 +9,7 @@ import numpy as np
 
 from imolo.contracts.engine import Array, BallContact, EngineState, Scene
 from imolo.contracts.urdf import RobotModel, read_urdf
-from imolo_backends.compiled import CompiledStep, twin
+from imolo_backends.compiled import CompiledStep, definer, twin
 from imolo_backends.engines.engine_checks import (
     FLOOR,
     Body,
@@ -114,18 +114,21 @@ class EngineAdapter(ABC):
     def step(self, joint_torque: Array, ball_force: Array) -> None:
         """See `Engine.step`."""
         self._count(1, self.advance(joint_torque, ball_force))
+        self._motion_is_old = True
 
     def compiled_step(self) -> CompiledStep | None:
-        """Return what does the same as `step` in compiled code, of an adapter with a `compiled_advance`."""
+        """Return what does the same as `step` in compiled code, of an adapter with a `compiled_advance`.
+
+        It also writes the arrays of `motion`.
+        """
         advance = twin(self, "advance")
-        if advance is None:
+        if advance is None or not issubclass(definer(self, "advance"), definer(self, "write_motion")):
             return None
         function, joint_torque, ball_force, ball_reaction = advance
         return CompiledStep(function, joint_torque, ball_force, ball_reaction, self._count)
 
     def _count(self, steps: int, touched: object) -> None:
         self._steps += steps
-        self._motion_is_old = True
         if touched:
             self._contacts += merge_touches(self.time, self.touches())
 

@@ -13,6 +13,8 @@ from imolo.config.model import Positive
 from imolo.contracts.engine import Array, BoxShape, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError, DivergenceError
+from imolo_backends.compiled import CFunction, c_function
+from imolo_backends.engines import dart_step
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.dart_model import add_body, held, load_robot, pose, set_contact, shapes
 from imolo_backends.engines.engine_checks import base_rotation, joint_index
@@ -87,6 +89,7 @@ class DartEngine(EngineAdapter):
         self._dofs = [self._robot.getDof(name).getIndexInSkeleton() for name in scene.joint_names]
         self._joint_index: Any = joint_index(self._dofs)
         self._force = np.zeros(self._robot.getNumDofs())
+        self._torque = np.zeros(len(self._dofs))  # of the last step
         # Frames that ride on the links: dartpy takes 0.3 µs to say where such a frame is, 4 µs for the link itself.
         self._link_frames = [dartpy.dynamics.SimpleFrame(self._robot.getBodyNode(n), n) for n in scene.link_names]
         self._ball_offset = np.zeros(3)
@@ -119,13 +122,22 @@ class DartEngine(EngineAdapter):
     def advance(self, joint_torque: Array, ball_force: Array) -> object:
         """See `EngineAdapter.advance`."""
         # DART forgets torques and forces after every step.
-        self._force[self._joint_index] = joint_torque
+        self._torque = self._force[self._joint_index] = joint_torque
         self._robot.setForces(self._force)
         self._ball_body.addExtForce(ball_force, self._ball_offset, False, True)
         self._world.step()
         # Cheaper than a look at the contact list, which always holds the feet.
         reaction = self._ball.getConstraintForces()
         return reaction[3] or reaction[4] or reaction[5]
+
+    def compiled_advance(self) -> tuple[CFunction, Array, Array, Array] | None:
+        """See `EngineAdapter.compiled_step`."""
+        found = dart_step.addresses(self._world, self._robot, self._dofs, self._ball_body)
+        if found is None:
+            return None
+        acting = self._torque, np.zeros(3)
+        function = c_function(dart_step.step, found.ids, *self._motion, *acting, self._ball_offset)
+        return function, *acting, found.ball_impulse
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""
@@ -149,8 +161,8 @@ class DartEngine(EngineAdapter):
         Raises:
             DivergenceError: A torque is not finite, which DART would replace by no acceleration at all.
         """
-        if not math.isfinite(sum(self._force.tolist())):
-            torques = zip(self._scene.joint_names, self._force[self._dofs], strict=True)
+        if not math.isfinite(sum(self._torque.tolist())):
+            torques = zip(self._scene.joint_names, self._torque, strict=True)
             joints = [name for name, torque in torques if not np.isfinite(torque)]
             raise DivergenceError(f"torque of {joints} is not finite at {self.time:.4f} s")
         transforms = [frame.getWorldTransform() for frame in self._link_frames]

@@ -143,12 +143,14 @@ class BallWatch:
 
     Attributes:
         velocity: After the last step [m/s].
+        changes: What changes it in a step without a touch: a force, by [s/kg]; gravity, by [m/s]; shape (4,).
     """
 
     def __init__(self, scene: Scene) -> None:
         self.velocity: Sequence[float] = scene.ball.velocity
         self._gain = scene.timestep / scene.ball.mass  # [s/kg]
         self._fall = [g * scene.timestep for g in scene.gravity]  # [m/s] in a step
+        self.changes = np.array([self._gain, *self._fall])
 
     def touched(self, after: Sequence[float], force: Sequence[float], rounding: float = UNTOUCHED) -> bool:
         """Take the velocity after a step, and return whether more than gravity and a force [N] changed it.

@@ -1,22 +1,17 @@
 """From the objects of Python's module `ode`, which builds a scene, to those of ODE's C interface."""
 
 import ctypes
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from imolo.contracts.engine import Array
+from imolo_backends.compiled import answer_of
 from imolo_backends.engines.ode_library import ode
 
-LIBRARY = "libode.so.8"  # the module has loaded it, so that this name is enough
-C = ctypes.CDLL(LIBRARY)
-
-
-def ask(name: str, *ids: int) -> int:
-    """Return the id or address that one of ODE's C functions returns."""
-    function = getattr(C, name)
-    function.restype = ctypes.c_size_t
-    return int(function(*map(ctypes.c_size_t, ids)))
+C = ctypes.CDLL("libode.so.8")  # the module has loaded it, so that this name is enough
+ask = partial(answer_of, C)
 
 
 def view(name: str, body: int) -> Array:

@@ -1,16 +1,16 @@
 """A step in ODE as compiled code, by ODE's C interface: torques, contacts, the solver, and how the joints move."""
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from llvmlite import binding
 from numba import carray, cfunc, njit, types
 from numpy.typing import NDArray
 
 from imolo.contracts.engine import Array
-from imolo_backends.engines.ode_c import LIBRARY
+from imolo_backends.compiled import external
+from imolo_backends.engines.ode_c import C
 from imolo_backends.engines.ode_library import ode
 
 LARGEST = 1e9  # [N·m, N, rad/s, m/s] ODE ends the process when a rotation overflows, which is far beyond
@@ -38,13 +38,7 @@ ID, REAL = types.intp, types.double
 PLAIN = ode.ContactApprox1 | ode.ContactSoftERP
 WITH_BOUNCE, WITH_DIRECTION, WITH_MU2 = ode.ContactBounce, ode.ContactFDir1, ode.ContactMu2
 
-binding.load_library_permanently(LIBRARY)
-
-
-def _function(name: str, returned: Any, *arguments: Any) -> Any:
-    return types.ExternalFunction(name, returned(*arguments))
-
-
+_function = partial(external, C)
 add_hinge_torque = _function("dJointAddHingeTorque", types.void, ID, REAL)
 add_slider_force = _function("dJointAddSliderForce", types.void, ID, REAL)
 hinge_angle, hinge_rate = _function("dJointGetHingeAngle", REAL, ID), _function("dJointGetHingeAngleRate", REAL, ID)

@@ -13,15 +13,13 @@ from imolo.conformance import Limitation
 from imolo.contracts.engine import Array, EngineOptions
 from imolo.contracts.urdf import RobotModel
 from imolo.errors import BackendError
+from imolo_backends.compiled import CFunction
 from imolo_backends.engines.adapter import FLOOR, EngineAdapter, Loaded, Poses, Touch
 from imolo_backends.engines.engine_checks import BallWatch, base_com_velocity, fill, link_rotations, turned_inertia
-from imolo_backends.engines.quiet_import import quiet_imports
+from imolo_backends.engines.pybullet_step import BASE, compiled, pybullet
 from imolo_backends.simulation.simulated import simulated_plugin
 
-with quiet_imports():  # it prints its build time
-    import pybullet
-
-BASE, BALL = -1, "the ball"
+BALL = "the ball"
 # [-] Bullet multiplies the restitutions of two bodies. With this on everything but the ball, and its inverse times the
 # wanted value on the ball, only the ball bounces; where the robot bounces as well, it is the root of its restitution.
 BODY_RESTITUTION = 1e-4
@@ -151,6 +149,10 @@ class PybulletEngine(EngineAdapter):
             pybullet.applyExternalForce(ball, BASE, force, center, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
         return self._watch.touched(pybullet.getBaseVelocity(ball, client)[0], force)
+
+    def compiled_advance(self) -> tuple[CFunction, Array, Array, Array] | None:
+        """See `EngineAdapter.compiled_step`."""
+        return compiled(self._client, self._robot, self._joints, self._ball, self._watch.changes, self._motion)
 
     def touches(self) -> Iterator[Touch]:
         """See `EngineAdapter.touches`."""

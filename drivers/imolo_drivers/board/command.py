@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from imolo.method.commands import wrap
 from imolo_drivers.board.config import BoardConfig, ChannelConfig
 from imolo_drivers.board.refusal import RefusalCode, RefusedError
 from imolo_msgs import actuator_command_t
@@ -105,11 +106,6 @@ def slew(wanted: Sequence[float], given: Sequence[float], steps: Sequence[float]
         math.copysign(min(abs(new), (abs(old) if old * new > 0.0 else 0.0) + step), new)
         for new, old, step in zip(wanted, given, steps, strict=True)
     )
-
-
-def wrap(sequence: int) -> int:
-    """Return a number as the 32 bits of a message hold it: -2**31 follows 2**31 - 1."""
-    return (sequence + 2**31) % 2**32 - 2**31
 
 
 def is_newer(sequence: int, known: int) -> bool:

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from imolo.method.commands import wrap
 from imolo_drivers.board.board import Board, BoardState
-from imolo_drivers.board.command import is_newer, make_command, slew, wrap
+from imolo_drivers.board.command import is_newer, make_command, slew
 from imolo_drivers.board.config import MAX_CHANNELS, BoardConfig, ChannelConfig
 from imolo_drivers.board.framing import SEQUENCES, FrameError, FrameType
 from imolo_drivers.board.refusal import RefusalCode, RefusedError

@@ -22,9 +22,12 @@ from imolo.method.motion import Theta
 from imolo.trials.recordings import hand_samples
 from imolo.trials.trainer import START_MARGIN, MotionPlayer
 from imolo.trials.trial import Bystander, run_trial
+from imolo_drivers.board.client import BoardClient
 from imolo_drivers.board.config import BoardConfig
+from imolo_drivers.board.handshake import ClientRole
 from imolo_drivers.emulator import EmulatedRobot
 from imolo_drivers.natnet.config import NatNetServerConfig
+from imolo_msgs import mocap_frame_t
 
 SIMULATION_ONLY = {channels.TRUTH_ROBOT, channels.TRUTH_BALL}
 THETA: Theta = (0.5, 0.25)
@@ -94,6 +97,28 @@ def test_motion_can_be_learned_from_the_robot(training: tuple[Log, Log]) -> None
     samples = hand_samples(training[0], config)
     assert np.isfinite(samples.position).all()
     assert set(map(tuple, samples.theta)) == {THETA}
+
+
+def test_frames_go_on_past_the_end_of_their_numbers() -> None:
+    robot = EmulatedRobot(trials.config("mujoco"), BoardConfig(), ("127.0.0.1", 0), NatNetServerConfig(command_port=0))
+    robot._first_frame = 2**31 - 3
+    frame, numbers = mocap_frame_t(), []
+    for frame.frame_number in (1, 2, 3, 4):
+        robot._show(frame)
+        numbers.append(robot._frames)
+    robot.close()
+    assert numbers == [2**31 - 2, 2**31 - 1, 0, 1]
+
+
+def test_trial_that_cannot_be_drawn_is_told_and_costs_no_link() -> None:
+    with emulator() as running:
+        client = BoardClient(running.robot.board.address, ClientRole.CONTROLLER, "test", PATIENCE)
+        for kind, index, seed in (("hit", -1, 1), ("hit", 0, -1), ("jump", 0, 1)):
+            client.announced = False
+            client.announce(kind, index, seed)
+            assert client.wait(lambda: client.announced, PATIENCE)
+        client.close()
+    assert sum(line.endswith("nothing will be thrown") for line in running.said) == 3
 
 
 def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> None:
