@@ -36,6 +36,7 @@ FUNCTIONS = (submit, torques_command, add_torque, force_command, add_force, step
 copy = external(ctypes.CDLL(None), "memcpy", ID, ID, ID, types.uintp)
 
 # Of a program's file, see elf(5).
+MAGIC = b"\x7fELF\x02\x01"  # with 64 bits, the lowest byte first
 SECTIONS, SECTION_COUNT, SYMBOL_TABLE = 0x28, 0x3C, 2
 SECTION = np.dtype(
     [("", "<u4"), ("kind", "<u4"), ("", "<u8", 2), ("at", "<u8"), ("size", "<u8"), ("link", "<u4"), ("", "<u4", 5)]
@@ -74,6 +75,8 @@ def compiled(
 def _clients() -> int:
     """Return where the module has the addresses of its connections, by the names of variables in its file."""
     with Path(pybullet.__file__).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as elf:
+        if elf[: len(MAGIC)] != MAGIC:
+            return 0
         (start,), (count,) = struct.unpack_from("<Q", elf, SECTIONS), struct.unpack_from("<H", elf, SECTION_COUNT)
         sections = np.frombuffer(elf, SECTION, count, start).copy()
         for table in sections[sections["kind"] == SYMBOL_TABLE]:
