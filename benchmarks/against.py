@@ -61,7 +61,7 @@ COMMANDS = {
 }
 OF_LOGS = {
     "top": ["top", "{log}"],
-    "plot": ["plot", "{log}", "TRUTH_BALL.ball_position", "--out", "{out}/plot.png"],
+    "plot": ["plot", "{log}", "TRUTH_BALL.true_ball_position", "--out", "{out}/plot.png"],
     "diff": ["diff", "{log}", "{log}"],
     "export": ["export", "{log}", "--to", "csv", "--out", "{out}/csv"],
 }

@@ -103,7 +103,8 @@ class TestsByLine:
     def users(self, path: str) -> list[str]:
         """Return a file and those that import it."""
         module = path.removeprefix("backends/").removeprefix("drivers/").removesuffix(".py").replace("/", ".")
-        imports = re.compile(rf"\b{re.escape(module)}\b")
+        package, _, name = module.rpartition(".")
+        imports = re.compile(rf"\b{re.escape(package)}(\.| import .*\b){name}\b")
         return [path, *(user for user in self.lines if imports.search((self.folder / user).read_text()))]
 
     def is_compiled_in(self, path: str) -> bool:

@@ -46,7 +46,7 @@ class LinearBallModel:
     time_step: float
     acceleration_density: float
     measurement_std: Array
-    residual_rms: Array = field(default_factory=lambda: np.zeros(3))
+    residual_rms: Array
     structure: Structure = "full"
     errors: tuple[PredictionError, ...] = ()
     _generator: Array = field(init=False, repr=False)

@@ -11,7 +11,16 @@ from pydantic import Field, JsonValue, model_validator
 from imolo.config.model import Model
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.motion import MotionTemplate
-from imolo.method.regressors import PROCESS, KernelSum, chunks, fit_quietly, kernel_sum, make_regressor, one_thread
+from imolo.method.regressors import (
+    PROCESS,
+    KernelSum,
+    chunks,
+    fit_quietly,
+    kernel_sum,
+    make_regressor,
+    one_thread,
+    set_noise,
+)
 
 Array = NDArray[np.float64]
 
@@ -216,10 +225,10 @@ class ForwardModel:
             noise = self._noise_of_the_prior(training, output_scaling) + regressor.alpha
             if len(inputs) > SEARCHED_SAMPLES and regressor.optimizer is not None:
                 some = slice(None, None, -(-len(inputs) // SEARCHED_SAMPLES))
-                regressor.set_params(alpha=noise[some])
+                set_noise(regressor, noise[some], inputs[some], targets[some])
                 fit_quietly(regressor, inputs[some], targets[some], self.config.estimator)
                 regressor = clone(regressor).set_params(kernel=regressor.kernel_, optimizer=None)
-            regressor.set_params(alpha=noise)
+            set_noise(regressor, noise, inputs, targets)
         fit_quietly(regressor, inputs, targets, self.config.estimator)
         self._regressor, self._kernel_sum = regressor, kernel_sum(regressor, inputs)
         self._input_scaling, self._output_scaling, self._training = input_scaling, output_scaling, training

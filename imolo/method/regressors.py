@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from imolo.errors import ConfigError, did_you_mean
+from imolo.method.likelihood import LikelihoodSearch
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ PROCESS = "GaussianProcessRegressor"
 USUAL = {"SVR": "sklearn.svm", PROCESS: "sklearn.gaussian_process", "MLPRegressor": "sklearn.neural_network"}
 
 AT_A_BOUND = "is close to the specified"  # in scikit-learn's words for a kernel's parameter
-CHUNK = 2048  # points: a chunk times 161 centres is 2.6 MB and stays in the cache
+CHUNK = 512  # points: a chunk times 161 centres is .7 MB and stays in the cache of a core
 
 
 @cache
@@ -98,6 +99,20 @@ def _one_length_scale_per_input(num_inputs: int, kernel: str) -> Any:
     shape = Matern(*scales, nu=1.5) if kernel == "matern" else RBF(*scales)
     noise = WhiteKernel(1e-3, (1e-8, 1.0))
     return signal * shape + noise
+
+
+def set_noise(process: Any, noise: Array, inputs: Array, outputs: Array) -> None:
+    """Tell a Gaussian process what noise is known of the samples that it is to be fitted to, and how to search.
+
+    Args:
+        process: From `make_regressor`.
+        noise: Variance, shape (N,).
+        inputs: Shape (N, D).
+        outputs: Shape (N, O).
+    """
+    process.set_params(alpha=noise)
+    if process.optimizer is not None and not process.normalize_y:
+        process.set_params(optimizer=LikelihoodSearch(inputs, outputs, noise, _is_matern(process.kernel)))
 
 
 def fit_quietly(regressor: Any, inputs: Array, outputs: Array, name: str) -> None:
@@ -222,7 +237,7 @@ def kernel_sum(regressor: Any, inputs: Array) -> KernelSum | None:
     # JSON has no kernels, so the kernel of a configured process is the one made here.
     if type(regressor).__name__ == PROCESS and not regressor.normalize_y:
         signal, shape = regressor.kernel_.k1.k1, regressor.kernel_.k1.k2
-        matern = type(shape).__name__ == "Matern"
+        matern = _is_matern(regressor.kernel_)
         return KernelSum(
             centre=inputs,
             scale=np.sqrt(3.0 if matern else 0.5) / shape.length_scale,
@@ -247,6 +262,10 @@ def kernel_sum(regressor: Any, inputs: Array) -> KernelSum | None:
         weight=weight[used],
         offset=np.array([estimator.intercept_[0] for estimator in estimators]),
     )
+
+
+def _is_matern(kernel: Any) -> bool:
+    return type(kernel.k1.k2).__name__ == "Matern"  # as `make_regressor` makes it
 
 
 def _has_numeric_rbf(estimator: Any) -> bool:

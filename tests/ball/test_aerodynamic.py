@@ -273,6 +273,7 @@ def test_launch_prior_sharpens_the_first_estimate():
             0.0083,
             DENSITY,
             np.full(3, NOISE),
+            np.zeros(3),
         ).initial_state(flight.time[:6], flight.position[:6])[0]
         with_prior.append(np.linalg.norm((state - truth)[3:6]))
         without.append(np.linalg.norm(line[3:] - truth[3:6]))

@@ -72,7 +72,7 @@ def test_reported_error_is_that_of_leave_one_out_by_hand(flights):
     reported = fit_ball_model(few, fixed).errors
     assert [error.horizon for error in reported] == [0.25, 0.50, 0.75]
     for error in reported:
-        by_hand = []
+        by_hand, at_end = [], []
         for fold, left_out in zip(folds, few, strict=True):
             states, time = filter_flight(fold, left_out)[0], left_out.time
             for target, measured in zip(time, left_out.position, strict=True):
@@ -81,9 +81,11 @@ def test_reported_error_is_that_of_leave_one_out_by_hand(flights):
                     k = np.flatnonzero(time <= latest)[-1]
                     A, B, _ = fold.transition(target - time[k])
                     by_hand.append(np.linalg.norm((A @ states[k] + B)[:3] - measured))
+            at_end.append(by_hand[-1])
         assert error.count == len(by_hand)
         assert error.mean == pytest.approx(np.mean(by_hand), rel=1e-9)
         assert error.std == pytest.approx(np.std(by_hand), rel=1e-9)
+        assert error.mean_at_end == pytest.approx(np.mean(at_end), rel=1e-9)
 
 
 def test_measurement_noise_is_told_from_the_misfit_of_the_model(flights, model):
@@ -172,7 +174,7 @@ def test_exponential_of_a_large_argument_loses_a_bit_with_every_halving(x):
 )
 def test_step_is_taken_for_smooth_within_one_half_of_one(away, accepted):
     # There the logarithm's series of 60 terms is right to 0.49^61 / 61; both must give the step back.
-    A, rest = np.eye(6), (np.zeros(6), 0.0083, 1e-3, np.full(3, NOISE))
+    A, rest = np.eye(6), (np.zeros(6), 0.0083, 1e-3, np.full(3, NOISE), np.zeros(3))
     A[5, 5] += away
     if accepted:
         np.testing.assert_allclose(LinearBallModel(A, *rest).transition(0.0083)[0], A, rtol=0, atol=1e-14)

@@ -11,6 +11,7 @@ from recorded_trials import METHOD, Recorded, write_events
 from imolo.inspect.diff import _compare_values, _Parting, compare_logs, compare_runs
 from imolo.inspect.divergence import FLOOR, PANELS, difference_over_time, draw_divergence
 from imolo.inspect.fields import parse_selector
+from imolo.inspect.plot import short_names
 from imolo.inspect.series import Series, read_series
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
@@ -237,6 +238,8 @@ def test_divergence_is_drawn_for_joints_hand_ball_and_pressures(recorded: Record
     assert plt.imread("parting.png").std() > 0.0
     comparison = compare_logs(recorded.first, recorded.second)
     figure = draw_divergence(recorded.first, recorded.second, comparison.first)
+    first, second = short_names([recorded.first, recorded.second])
+    assert figure.get_suptitle() == f"{second} less {first}\nthey part at {comparison.first}"
     assert [axes.get_title("left") for axes in figure.axes] == ["joint angles", "right hand", "ball", "pressures"]
     assert all(len(axes.lines) >= 2 for axes in figure.axes)
     # The angles go apart for good; the pressures differ while a valve switches, and no more after it.

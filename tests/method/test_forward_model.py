@@ -15,7 +15,7 @@ from sklearn.svm import SVR
 
 from imolo.errors import ConfigError, NotTrainedError, TrainingDataError
 from imolo.method.forward_model import GPR, MLP, PAPER_SVR, ForwardModel, ForwardModelConfig, TrainingData
-from imolo.method.regressors import fit_quietly, make_regressor
+from imolo.method.regressors import fit_quietly, make_regressor, set_noise
 
 Array = NDArray[np.float64]
 NOISE = 0.003  # [m]
@@ -83,7 +83,9 @@ def test_gaussian_process_predicts_as_scikit_learn_does(kernel: Literal["rbf", "
     theta, time = queries(3000)
     inputs, outputs = np.column_stack((SAMPLES.theta, SAMPLES.time)), SAMPLES.position
     reference = make_regressor(GPR.estimator, GPR.parameters, 3, kernel)
-    fit_quietly(reference, standardized(inputs, inputs), standardized(outputs, outputs), GPR.estimator)
+    samples = standardized(inputs, inputs), standardized(outputs, outputs)
+    set_noise(reference, np.full(len(inputs), reference.alpha), *samples)  # that both find the same kernel
+    fit_quietly(reference, *samples, GPR.estimator)
     predicted = standardized(fitted(GPR.model_copy(update={"kernel": kernel})).predict(theta, time), outputs)
     expected = reference.predict(standardized(np.column_stack((theta, time)), inputs))
     # Both round each of the summed terms and each exponent, some ten times.

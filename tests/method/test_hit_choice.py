@@ -161,6 +161,12 @@ def test_other_hand_is_the_mirrored_hand_of_the_opposite_k() -> None:
     assert np.linalg.norm(hit.position - (1.0, 0.4, 1.0)) < 0.05
 
 
+def test_motion_whose_mirrored_one_is_not_in_the_table_has_none() -> None:
+    theta = np.array([(-0.5, 0.2), (0.5, 0.2), (0.5, 0.3), (2.0, 0.2)])
+    swings = group_by_motion(MOTION, theta, np.full(4, 0.4), np.zeros((4, 3)), np.full((4, 3), 0.01), 0.02)
+    assert swings.mirror.tolist() == [1, 0, -1, -1]
+
+
 def test_mirrored_ball_gets_the_mirrored_motion_with_the_same_probability() -> None:
     table = chooser(swings(), start_probability=0.0)
     right, left = table.start(ball(-0.37, 0.6)), table.start(BallPath(*_mirrored(ball(-0.37, 0.6))))

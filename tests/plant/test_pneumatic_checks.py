@@ -40,20 +40,26 @@ def test_the_plant_gives_the_closed_form(name: str, values: dict[str, Any]) -> N
 
 
 @pytest.mark.parametrize(
-    ("parameter", "name"),
+    ("parameter", "name", "seen"),
     [
-        ("leg_bore", "sealed_piston"),
-        ("supply_conductance", "choked_filling"),
-        ("exhaust_conductance", "emptying"),
-        ("valve_time_constant", "valve_step"),
-        ("valve_dead_time", "valve_step"),
-        ("dead_volume", "tank_balance"),
+        ("leg_bore", "sealed_piston", ["isothermal", "polytropic", "adiabatic"]),
+        ("supply_conductance", "choked_filling", ["pressure'", "pressure at a third"]),
+        ("exhaust_conductance", "emptying", ["absolute pressure while choked", "order", "decay constant of valve"]),
+        ("full_opening_error", "emptying", ["decay constant of valve"]),
+        ("valve_time_constant", "valve_step", ["opening after 1 tau", "opening after 3 tau", "lag"]),
+        ("valve_dead_time", "valve_step", ["dead time"]),
+        ("dead_volume", "tank_balance", ["air from the tanks in the robot"]),
+        ("tank_volume", "tank_balance", ["air from the tanks in the robot"]),
+        ("dead_volume", "closed_valves", ["air in the robot"]),
     ],
 )
-def test_a_parameter_that_is_a_hundredth_off_is_seen(parameter: str, name: str) -> None:
+def test_a_parameter_that_is_a_hundredth_off_is_seen_by_all_that_depends_on_it(
+    parameter: str, name: str, seen: list[str]
+) -> None:
     slow = {"valve_dead_time": 0.01}  # of the default one, a hundredth is less than a step
     wrong = {parameter: 1.01 * getattr(LiberobotAir(**slow), parameter)}
-    assert failed(name, drive(wrong, **slow)) != []
+    told = failed(name, drive(wrong, **slow))
+    assert all(any(f"quantity='{quantity}" in one for one in told) for quantity in seen)
 
 
 class Leaking(Pneumatics):
