@@ -43,7 +43,7 @@ def test_the_plant_gives_the_closed_form(name: str, values: dict[str, Any]) -> N
     ("parameter", "name", "seen"),
     [
         ("leg_bore", "sealed_piston", ["isothermal", "polytropic", "adiabatic"]),
-        ("supply_conductance", "choked_filling", ["pressure", "pressure at a third"]),
+        ("supply_conductance", "choked_filling", ["pressure'", "pressure at a third"]),
         ("exhaust_conductance", "emptying", ["absolute pressure while choked", "order", "decay constant of valve"]),
         ("full_opening_error", "emptying", ["decay constant of valve"]),
         ("valve_time_constant", "valve_step", ["opening after 1 tau", "opening after 3 tau", "lag"]),
