@@ -38,6 +38,7 @@ def seen_by_cameras(rotation: np.ndarray, translation: np.ndarray, noise: np.nda
 
 def test_motives_z_is_forward_its_x_left_its_y_up() -> None:
     assert Calibration().to_world(np.eye(3)).tolist() == [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+    assert Calibration().residual == 0.0
 
 
 @given(turn=angle, tilt=st.tuples(small_tilt, small_tilt), translation=st.tuples(length, length, length))
