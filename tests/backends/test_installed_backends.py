@@ -29,7 +29,8 @@ def test_backends_lists_every_engine_as_ready(run: Run, name: str) -> None:
 def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make Python find no PyBullet, as where the extra was not installed."""
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    monkeypatch.delitem(sys.modules, "imolo_backends.engines.pybullet_engine", raising=False)
+    for module in ("pybullet_engine", "pybullet_step"):
+        monkeypatch.delitem(sys.modules, f"imolo_backends.engines.{module}", raising=False)
 
 
 @pytest.mark.usefixtures("without_pybullet")
