@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +18,7 @@ import imolo.contracts
 from imolo.command_line.main import app
 from imolo.messaging.channels import CHANNELS
 from tools.screens import Browser, browse
-from tools.site import command_line, configuration, messages
+from tools.site import api, command_line, configuration, messages
 
 ROOT = Path(__file__).parents[1]
 
@@ -61,6 +62,21 @@ def test_every_command_and_its_options_are_shown() -> None:
         assert f"## `imolo {name}`\n" in page
         for parameter in [one for one in command.params if not getattr(one, "hidden", False)]:
             assert any(option in page for option in parameter.opts), f"imolo {name} {parameter.name}"
+
+
+def test_page_of_the_reference_is_never_gone_while_another_site_is_built(tmp_path: Path) -> None:
+    """Sphinx looks for the pages first and reads them one after the other."""
+    api.write(tmp_path)
+    (tmp_path / "imolo.gone.md").write_text("# imolo.gone\n", encoding="utf-8")
+    (page,) = tmp_path.glob("imolo.tasks.md")
+    seen = []
+    with ThreadPoolExecutor() as pool:
+        other = pool.submit(api.write, tmp_path)
+        while not other.done():
+            seen.append("automodule:: imolo.tasks" in page.read_text(encoding="utf-8"))
+        other.result()
+    assert all(seen)
+    assert not (tmp_path / "imolo.gone.md").exists()
 
 
 def public_names(module: ModuleType) -> list[str]:

@@ -3,9 +3,10 @@
 import importlib
 import pkgutil
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
+
+from imolo.machine.files import write_whole
 
 PACKAGES = ("imolo", "imolo_backends", "imolo_robots", "imolo_drivers")
 # What the command line's own page holds, what is compiled or copied, and what wraps one engine, which may be missing.
@@ -26,14 +27,16 @@ def modules() -> Iterator[str]:
 
 
 def write(folder: Path) -> None:
-    """Write the pages to a folder, which is made anew."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    """Write the pages to a folder, which holds no others then; two sites may be built from it at once."""
     pages: dict[str, list[str]] = {}
     for name in modules():
         is_package = hasattr(importlib.import_module(name), "__path__")
         package = name if is_package else name.rpartition(".")[0]
         directive = f"```{{eval-rst}}\n.. automodule:: {name}\n```\n"
         pages.setdefault(package, []).append(f"{'#' if is_package else '##'} {name}\n\n{directive}")
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.md"):
+        if old.stem not in pages:
+            old.unlink(missing_ok=True)
     for package, sections in pages.items():
-        (folder / f"{package}.md").write_text("\n".join(sections), encoding="utf-8")
+        write_whole(folder / f"{package}.md", "\n".join(sections))
