@@ -1,20 +1,14 @@
 """Programs that do not belong on the bus: nothing they say moves the robot or ends a program, and they are told of."""
 
-import re
 import struct
-import time
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_table import Learned
-from network import URL
-from programs import PATIENCE, lab
 from tries import tries
 
 from imolo.config.loading import config_for
-from imolo.contracts.trial import EventName
 from imolo.errors import TrialVoidError
 from imolo.inspect.statistics import BusStatistics
 from imolo.live.identity import Identity, Role, shared_sections
@@ -27,7 +21,6 @@ from imolo.live.remote_planner import VENTED, LockstepPlanner, RealtimePlanner
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.channels import CHANNELS
-from imolo.messaging.log import read_log
 from imolo.messaging.log_file import read_events
 from imolo_drivers.board.command import is_newer
 from imolo_msgs import actuator_command_t, envelope_t, heartbeat_t, mocap_frame_t, step_answer_t, step_request_t
@@ -352,37 +345,6 @@ def test_session_of_many_balls_keeps_its_memory_and_its_files(tmp_path: Path) ->
     assert used[1] - used[0] < 200_000 + CHUNK
     assert descriptors[0] == descriptors[1]
     assert sum(event.channel == channels.MOCAP for event in read_events(tmp_path / "session.lcmlog")) == balls * frames
-
-
-@pytest.mark.usefixtures("network")
-def test_session_outlives_strangers_and_follows_none_of_them(learned: Learned, tmp_path: Path) -> None:
-    bus = Bus(URL)
-    commands = learned.config.motion.commands(learned.config.training.motions[0], 400_000)
-    with lab(learned.config_path, learned.table_path, tmp_path, "realtime") as there:
-        backend, planner = there.backend(), there.planner()
-        throw = there.throw(1)
-        backend.wait_for(rf"planner {planner.pid} is here")
-        bus.subscribe(channels.MOCAP, lambda frame: bus.publish(*answer(frame)))
-
-        def answer(frame: mocap_frame_t) -> tuple[str, actuator_command_t]:
-            for channel in CHANNELS:
-                bus.publish_raw(channel, NOISE)
-            return channels.ACTUATOR_COMMAND, commands.to_message(frame.utime, 1, STRANGER)
-
-        deadline = time.monotonic() + PATIENCE
-        while not any(re.search(r"ball 0( is void|: )", line) for line in backend.lines):
-            assert time.monotonic() < deadline, "the first trial does not end"
-            bus.wait(0.05)
-        bus.close()
-        backend.wait_for(r"commander 7 commands the robot beside planner")
-        backend.wait_for(r"ball 0 is void, to be repeated: stop the other program on this bus")
-        backend.wait_for(r"ball 0: (touch|ball_landed)")
-        assert (throw.wait(), planner.stop(), backend.stop()) == (0, 0, 0)
-    void = read_log(sorted((tmp_path / "void").glob("hit_000_*.lcmlog"))[0])
-    assert STRANGER not in {message.commander for message in void.messages[channels.ACTUATOR_COMMAND]}
-    assert void.messages[channels.TRIAL][-1].event == EventName.END
-    for program in (backend, planner):
-        assert not any("Traceback" in line for line in program.lines)
 
 
 @pytest.mark.parametrize("channel", [channels.TRIAL, channels.MOCAP, "", "NOWHERE"])
