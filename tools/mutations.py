@@ -5,18 +5,20 @@ a comparison, an operator, a constant or a condition; every place is as likely a
 """
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.mutating import use_mutation
 from cosmic_ray.plugins import get_operator, operator_names
+from forked_tests import first_failure, import_before_forks
 from tests_by_line import TestsByLine
 
 CHANGED = (
@@ -30,7 +32,6 @@ CHANGED = (
 """Folders whose code is changed."""
 KINDS = ("Comparison", "BinaryOperator", "UnaryOperator", "NumberReplacer", "AndWithOr", "OrWithAnd", "True", "AddNot")
 ENOUGH = 120.0  # [s] of tests of one change; what these do not notice counts as not noticed
-PATIENCE = 5.0  # times as long may tests take as without a change, which may loop for ever
 
 Place = tuple[str, tuple[int, int]]
 Change = tuple[str, int]
@@ -57,58 +58,72 @@ def environment_of(folder: Path) -> dict[str, str]:
     """Return the environment in which Python imports the copy."""
     roots = (folder, folder / "backends", folder / "drivers", folder / "lcmtypes", folder / "tools")
     paths = os.pathsep.join([*map(str, roots), *sys.path[1:]])
-    return {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder / ".numba")}
+    programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return {**os.environ, "PATH": programs, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder / ".numba")}
 
 
-def who_fails(folder: Path, tests: list[str], seconds: float, fresh: bool) -> str:
-    """Run tests of the copy until one fails.
+def without_stale(cache: Path, known: TestsByLine, path: str, folder: Path) -> Path:
+    """Copy what numba compiled before, but that which may hold code or constants of one file.
 
     Args:
-        folder: The copy.
-        tests: Their names, in this order.
-        seconds: How long they take without a change [s].
-        fresh: Compile everything again: compiled code holds what it calls, and constants, as they were.
+        cache: What was compiled from the code without a change.
+        known: Which file uses which.
+        path: The file that is changed.
+        folder: Where to copy it to.
 
     Returns:
-        The test that failed, or "" if all passed.
+        The copy, or what was there if nothing compiled depends on the file.
     """
-    # A file that is changed and put back within a second would be taken from its old bytecode.
-    environment = environment_of(folder) | {"PYTHONDONTWRITEBYTECODE": "1"}
-    names = folder / "tests_of_this_change"
-    names.write_text("\n".join(tests))
-    with tempfile.TemporaryDirectory() as cache:
-        if fresh:
-            environment["NUMBA_CACHE_DIR"] = cache
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", f"@{names}"]
-        pipe = subprocess.PIPE
-        with subprocess.Popen(command, cwd=folder, env=environment, stdout=pipe, text=True, process_group=0) as ran:
-            try:
-                told, _ = ran.communicate(timeout=120.0 + PATIENCE * seconds)
-            except subprocess.TimeoutExpired:
-                os.killpg(ran.pid, signal.SIGKILL)
-                return "no end"
-    failed = [line.split(" - ")[0] for line in told.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return "" if ran.returncode == 0 else (failed or ["no test could run"])[0]
+    users = known.users(path)
+    if not any("njit" in (known.folder / user).read_text() for user in users):
+        return cache
+    shutil.copytree(cache, folder, dirs_exist_ok=True, copy_function=os.link)
+    for user in users:
+        for stale in folder.glob(f"{Path(user).parent.name}_*/{Path(user).stem}.*"):
+            stale.unlink()
+    return folder
 
 
 def noticed_by(folder: Path, known: TestsByLine, place: Place, change: Change) -> str | None:
     """Change one place, run its tests and put it back.
 
     Returns:
-        The test that noticed, "" if none did, None if the change makes no Python.
+        The test that noticed, and passes without the change; "" if none did, None if the change makes no Python.
     """
     path, tests, seconds = folder / place[0], list[str](), 0.0
+    environment = environment_of(folder)
+    compiled_before = Path(environment["NUMBA_CACHE_DIR"])
+    compiled_before.mkdir(exist_ok=True)
     for test in known.of(place[0], place[1][0]):
         seconds += known.seconds[test]
         if seconds > ENOUGH and tests:
             break
         tests.append(test)
-    with use_mutation(path, get_operator(change[0])(), change[1]):
-        try:
-            compile(path.read_text(), path, "exec")
-        except SyntaxError:
-            return None
-        return who_fails(folder, tests, seconds, known.is_compiled_in(place[0])) if tests else ""
+    with tempfile.TemporaryDirectory(dir=folder) as compiled:
+        while tests:
+            cache = without_stale(compiled_before, known, place[0], Path(compiled))
+            with changed(path, change):
+                try:
+                    compile(path.read_text(), path, "exec")
+                except SyntaxError:
+                    return None
+                by = first_failure(folder, tests, seconds, environment | {"NUMBA_CACHE_DIR": str(cache)})
+            test = by.partition(" ")[2]
+            if test not in tests or not first_failure(folder, [test], known.seconds[test], environment):
+                return by
+            tests.remove(test)
+    return ""
+
+
+@contextlib.contextmanager
+def changed(path: Path, change: Change) -> Iterator[None]:
+    """Change a file for a while; put back, it counts as never changed."""
+    status = path.stat()
+    try:
+        with use_mutation(path, get_operator(change[0])(), change[1]):
+            yield
+    finally:
+        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
 def copy_of_project(folder: Path) -> None:
@@ -133,6 +148,7 @@ def main() -> None:
         folder = Path(name)
         copy_of_project(folder)
         known = TestsByLine.kept(folder, environment_of(folder), chosen.map)
+        import_before_forks()
         rng = random.Random(chosen.seed)
         places = changes(folder, chosen.only)
         tried = noticed = 0

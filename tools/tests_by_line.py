@@ -91,7 +91,7 @@ class TestsByLine:
     @classmethod
     def kept(cls, folder: Path, environment: dict[str, str], path: Path) -> "TestsByLine":
         """Read what was measured before; measure and keep it if any Python file has changed since."""
-        sources = b"".join(source.read_bytes() for source in sorted(folder.rglob("*.py")))
+        sources = b"".join(file.read_bytes() for file in sorted(folder.rglob("*.py")) if file.parent.name != "tools")
         digest = hashlib.sha256(sources).hexdigest()
         if path.exists() and (content := json.loads(path.read_text())).pop("digest") == digest:
             return cls(folder, **content)
@@ -101,15 +101,20 @@ class TestsByLine:
         return known
 
     def users(self, path: str) -> list[str]:
-        """Return a file and those that import it."""
-        module = path.removeprefix("backends/").removeprefix("drivers/").removesuffix(".py").replace("/", ".")
-        package, _, name = module.rpartition(".")
-        imports = re.compile(rf"\b{re.escape(package)}(\.| import .*\b){name}\b")
-        return [path, *(user for user in self.lines if imports.search((self.folder / user).read_text()))]
-
-    def is_compiled_in(self, path: str) -> bool:
-        """Tell whether compiled code is in a file, or may hold what is in it as it was."""
-        return any("njit" in (self.folder / user).read_text() for user in self.users(path))
+        """Return a file, those that import it, and those whose compiled code may hold some of its."""
+        texts = {file: (self.folder / file).read_text() for file in self.lines}
+        found = [path]
+        for used in found:
+            module = used.removeprefix("backends/").removeprefix("drivers/").removesuffix(".py").replace("/", ".")
+            package, _, name = module.rpartition(".")
+            imports = re.compile(rf"\b{re.escape(package)}(\.| import .*\b){name}\b")
+            further = used != path
+            found += (
+                file
+                for file, text in texts.items()
+                if file not in found and imports.search(text) and (not further or "njit" in text)
+            )
+        return found
 
     def of(self, path: str, line: int) -> list[str]:
         """Return the tests that may notice a change of a line, the most likely and quickest first.

@@ -6,7 +6,7 @@ from struct import Struct
 from typing import Any
 
 from imolo.messaging import channels
-from imolo.messaging.channels import CHANNELS, STREAMS
+from imolo.messaging.channels import CHANNELS, LONGEST_GAP, STREAMS
 from imolo.messaging.log import decode
 
 SEQUENCE_FIELDS = {
@@ -82,9 +82,10 @@ class ChannelStatistics:
         self._follows = False
 
     def _follow(self, number: int) -> None:
-        # Numbers that fall back are those of a new trial, or of a sender that was started again.
-        if self._newest_number is not None and self.missing is not None and number > self._newest_number:
-            self.missing += number - self._newest_number - 1
+        # Numbers that fall back are those of a new trial, or of a sender that was started again; so are far ones.
+        if self._newest_number is not None and self.missing is not None:
+            passed_over = number - self._newest_number - 1
+            self.missing += passed_over if 0 < passed_over <= LONGEST_GAP else 0
         self._newest_number = number
 
     @property

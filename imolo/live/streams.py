@@ -11,7 +11,10 @@ from imolo.messaging.bus import UNREADABLE
 from imolo_msgs import trial_event_t
 
 # Where the number of a message is in its bytes: behind fingerprint and utime, 8 bytes each.
-NUMBERED = (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
+NUMBERED = {
+    channel: channels.CHANNELS[channel].message_type._get_packed_fingerprint()
+    for channel in (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
+}
 _NUMBER = struct.Struct(">i")
 _NUMBER_AT = 16
 FIRST = 1  # number of the first message of a trial
@@ -41,11 +44,11 @@ class Streams:
         self._since = now()
 
     def count(self, channel: str, data: bytes) -> None:
-        """Count a message."""
+        """Count a message; gaps are those of messages of the channel's type."""
         self.total[channel] += 1
         if channel == channels.TRIAL and is_start(data):
             self.begin_trial()
-        if channel not in NUMBERED or len(data) < _NUMBER_AT + _NUMBER.size:
+        if channel not in NUMBERED or len(data) < _NUMBER_AT + _NUMBER.size or not data.startswith(NUMBERED[channel]):
             return
         (number,) = _NUMBER.unpack_from(data, _NUMBER_AT)
         last = self._last.get(channel)
@@ -54,6 +57,8 @@ class Streams:
             return
         # The numbers start anew with every trial.
         expected = FIRST if last is None or number <= last else last + 1
+        if not FIRST <= number <= expected + channels.LONGEST_GAP:
+            return
         if last is not None or number == FIRST:
             self.missing[channel] += max(number - expected, 0)
         self._last[channel] = number

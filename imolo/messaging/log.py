@@ -10,10 +10,11 @@ import lcm
 
 from imolo.errors import BusError
 from imolo.messaging.bus import Bus
-from imolo.messaging.channels import CHANNELS, TRIAL
+from imolo.messaging.channels import ACTUATOR_STATE, CHANNELS, MOCAP, TRIAL
 from imolo.messaging.log_file import HEADER, Damage, LogEvent, LogReader
 
 LOG_SUFFIX = ".lcmlog"
+IN_EVERY_TRIAL = (TRIAL, MOCAP, ACTUATOR_STATE)
 
 OLDER_CHANNELS = ("VALVE_COMMAND", "VALVE_PRESSURE")
 OLDER_TRIAL = bytes.fromhex("85d8afedc33c97b7")
@@ -81,7 +82,7 @@ def read_log(path: Path, only: Collection[str] = CHANNELS) -> Log:
         only: Channels that are wanted; the sensors' alone are half of all messages.
 
     Raises:
-        BusError: The file is missing or no log, of imolo 0.1, or a channel in it carries messages of another type.
+        BusError: The file is missing or no log, of imolo 0.1, or of other types throughout, see `decoded`.
     """
     log = Log(path)
     with LogReader(path, {*only, TRIAL}) as reader:
@@ -97,11 +98,12 @@ def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str
 
     Args:
         events: Of the reader.
-        reader: Told of the damage.
+        reader: Told of what cannot be read, as damage.
         wanted: The channels; others are passed over.
 
     Raises:
-        BusError: All messages of a channel are of another type.
+        BusError: All messages of a channel that speaks in every trial are of another type, or all messages are.
+            On another channel they may be a stranger's.
     """
     broken: dict[str, LogEvent] = {}
     whole: set[str] = set()
@@ -116,10 +118,9 @@ def decoded(events: Iterable[LogEvent], reader: LogReader, wanted: Container[str
             continue
         broken.setdefault(event.channel, event)
         end = event.offset + HEADER.size + len(event.channel) + len(event.data)
-        what = f"a damaged message on {event.channel}"
-        reader.add_damage(Damage(event.offset, end, event.utime, what))
+        reader.add_damage(Damage(event.offset, end, event.utime, f"a damaged message on {event.channel}"))
     for name, event in broken.items():
-        if name not in whole:
+        if name not in whole and (name in IN_EVERY_TRIAL or not whole):
             raise BusError(
                 f"{reader.path}: event {event.number} on {name} is no {CHANNELS[name].message_type.__name__}; "
                 "was it recorded with other message types?"

@@ -103,11 +103,11 @@ def test_rates_of_a_log_are_those_of_the_channel_table(recorded: Recorded) -> No
 
 def test_gaps_in_the_numbers_are_counted_and_a_new_trial_is_none() -> None:
     statistics = ChannelStatistics(channels.MOCAP)
-    for number in (1, 2, 5, 6, 1, 2, 4):
+    for index, number in enumerate((1, 2, 5, 6, 1, 2, 4, 2**31 - 1, 5, 7)):  # one is a stranger's
         frame = mocap_frame_t()
         frame.frame_number = number
-        statistics.add(frame.encode(), 0.01 * number)
-    assert (statistics.count, statistics.missing) == (7, 3)
+        statistics.add(frame.encode(), 0.01 * index)
+    assert (statistics.count, statistics.missing) == (10, 4)
 
 
 def test_messages_of_another_type_and_of_others_are_counted() -> None:

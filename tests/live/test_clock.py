@@ -110,6 +110,8 @@ def start() -> bytes:
         ((1, 2, 3, 1, 2, 3), 0, 0),  # the next trial
         ((1, 2, 3, "start", 3, 4), 2, 0),
         (("start", 1, 2), 0, 0),
+        ((1, 2, 2**30, -5, 3, 5), 1, 0),  # a stranger's
+        ((2**30, 7, 8), 0, 0),
     ],
 )
 def test_gaps_in_the_numbers_are_counted(numbers: tuple[int | str, ...], missing: int, disordered: int) -> None:
@@ -121,6 +123,13 @@ def test_gaps_in_the_numbers_are_counted(numbers: tuple[int | str, ...], missing
             streams.count(channels.TRIAL, start())
     assert (streams.missing[channels.MOCAP], streams.disordered[channels.MOCAP]) == (missing, disordered)
     assert streams.total[channels.MOCAP] == sum(isinstance(number, int) for number in numbers)
+
+
+def test_messages_of_another_type_leave_no_gap() -> None:
+    streams = Streams()
+    for data in (frame(1), b"another." + bytes(40), b"another." + frame(9)[8:], frame(2)):
+        streams.count(channels.MOCAP, data)
+    assert streams.describe_gaps() == "missing none"
 
 
 def test_gap_is_told_by_channel() -> None:

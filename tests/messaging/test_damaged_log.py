@@ -150,6 +150,22 @@ def test_damaged_message_is_passed_over_and_told(whole: bytes, starts: list[int]
     ]
 
 
+def test_strangers_alone_on_a_channel_cost_no_message_of_the_others(whole: bytes, tmp_path: Path) -> None:
+    name, data = b"HEARTBEAT", b"another type"
+    path = tmp_path / "log"
+    path.write_bytes(whole + HEADER.pack(SYNC, COUNT, 10_000 * COUNT, len(name), len(data)) + name + data)
+    log = read_log(path)
+    assert len(log.messages[channels.MOCAP]) == len(log.messages[channels.ACTUATOR_STATE]) == COUNT // 2
+    assert [part.what for part in log.damage] == ["a damaged message on HEARTBEAT"]
+
+
+def test_log_of_strangers_alone_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(HEADER.pack(SYNC, 0, 0, 5, 12) + b"MOCAP" + b"another type")
+    with pytest.raises(BusError, match="event 0 on MOCAP is no mocap_frame_t"):
+        read_log(path)
+
+
 @settings(max_examples=tries(200), deadline=None)
 @given(data=st.data())
 def test_any_damage_costs_no_more_than_it_touches(
