@@ -250,7 +250,7 @@ def normal_equations(state: Array, time: Array, position: Array, gravity: Array)
             sensitivity = one @ sensitivity
             for axis in range(3):
                 sensitivity[3 + axis, n + axis] += half
-        for axis in range(3):
+        for axis in range(len(gradient)):
             residuals[i, axis] = position[i, axis] - state[axis]
             for a in range(n + 3):
                 gradient[axis, a] += sensitivity[axis, a] * residuals[i, axis]

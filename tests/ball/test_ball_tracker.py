@@ -59,6 +59,7 @@ def test_ball_at_rest_is_seen_but_does_not_fly(model):
     assert all(e is None for e in estimates[: tracker.config.launch_frames - 1])
     assert all(not e.in_flight for e in estimates[tracker.config.launch_frames - 1 :])
     assert position_error(estimates[-1], np.array([5.0, 0.0, 1.1])) < 5 * NOISE * np.sqrt(3)
+    np.testing.assert_array_equal(estimates[-1].covariance[3:, 3:], 10.0**2 * np.eye(3))  # faster than any throw
 
 
 def test_flight_is_reported_from_the_release_on(model):

@@ -169,6 +169,14 @@ def test_decimal_commas_between_commas_are_told(tmp_path: Path) -> None:
         read_tracks(path)
 
 
+@pytest.mark.parametrize(("count", "advice"), [(6, "mend"), (8, "commas"), (10, "commas"), (11, "mend")])
+def test_values_that_are_too_many_for_decimal_commas_are_told_as_that(tmp_path: Path, count: int, advice: str) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text(f"{','.join(HEADER)}\n{','.join('1' * count)}\n", encoding="utf-8")
+    with pytest.raises(TrainingDataError, match=f"line 2: {count} values for 5 columns; .*{advice}"):
+        read_tracks(path)
+
+
 @pytest.mark.parametrize(("text", "decimal"), [("1.234,5", ","), ("1_000", "."), ("1.5", ","), ("1,5", "."), ("", ",")])
 def test_number_that_could_be_another_is_refused(tmp_path: Path, text: str, decimal: str) -> None:
     path = tmp_path / "f.csv"

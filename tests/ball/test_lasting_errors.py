@@ -9,7 +9,7 @@ from ball_flights import GRAVITY, RATE
 from scipy.stats import chi2
 
 from imolo.ball.aerodynamic_kernel import COVARIANCE_STEP, LONGEST_STEP, transition
-from imolo.ball.correlated_noise import CorrelatedNoise
+from imolo.ball.correlated_noise import CorrelatedNoise, _moments
 from imolo.ball.flight import Flight
 from imolo.ball.prediction import filter_flight
 
@@ -31,6 +31,14 @@ def test_error_that_lasts_is_told_from_white_noise():
     np.testing.assert_allclose(found.lasting, 1.0, atol=4 * np.sqrt(2.0 / 90))
     np.testing.assert_allclose(found.white, 1.0, atol=0.3)
     assert 0.03 <= found.time <= 0.1
+
+
+def test_white_part_is_never_nothing():
+    # Squares that grow with the gain alone leave no white part, or less than none.
+    gain, white = np.array([0.5, 1.0, 4.0]), np.array([2.0, 3.0, 4.0])
+    alone, lasting = _moments(gain, np.tile((gain**2)[:, np.newaxis], 3), white)
+    np.testing.assert_allclose(alone, 0.01 * white)
+    assert (lasting > 1.0).all()
 
 
 @pytest.mark.parametrize("kind", ["drag", "spin"])

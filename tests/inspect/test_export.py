@@ -204,6 +204,14 @@ def test_layout_for_foxglove_shows_what_an_export_has_with_schemas_that_its_pane
     assert all(f'"{name}"' in places for name in panels)
 
 
+def test_export_is_called_by_the_log_and_the_trial(recorded: Recorded, run: Run, tmp_path: Path) -> None:
+    log = Path(shutil.copy(recorded.first, tmp_path / "ball.lcmlog"))
+    for trial, name in ((), "ball.mcap"), (("--trial", "0"), "ball_trial_0.mcap"):
+        code, _, errors = run("export", log, *trial)
+        assert (code, errors) == (0, "")
+        assert (tmp_path / name).exists()
+
+
 def test_folder_that_cannot_be_written_is_one_line(recorded: Recorded, run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     for to in ("csv", "mcap"):

@@ -302,6 +302,17 @@ def test_changed_frame_changes_what_the_planner_says_next(recorded: Recorded, tm
     assert f"at {frames[60].utime * 1e-6:.6f} s" in output
 
 
+def test_replay_is_of_the_start_whatever_was_told_before(recorded: Recorded, tmp_path: Path, run: Run) -> None:
+    events = list(read_events(recorded.first))
+    other = trial_event_t()
+    other.event = "touch"
+    early = LogEvent(0, 0, channels.TRIAL, other.encode(), 0)
+    path = write_events(tmp_path / "log", [early, *events])
+    code, output, errors = run("replay", path, "--table", recorded.table, "--method", METHOD)
+    assert (code, errors) == (0, "")
+    assert "the planner says the same" in output
+
+
 def test_replay_refuses_an_unknown_method_and_a_log_without_a_start(
     recorded: Recorded, tmp_path: Path, run: Run
 ) -> None:

@@ -323,6 +323,32 @@ def test_coarse_search_ends_on_the_motion_that_flies_right_at_the_ball(table: tu
         assert hit.probability >= 0.99 * best
 
 
+@pytest.mark.parametrize(
+    ("values", "mirrored"),
+    [
+        ((-0.3, -0.1, 0.1, 0.3, 0.5), (0.3, 0.1, -0.1, -0.3, None)),
+        ((-0.2, 0.0, 0.2, 0.3), (0.2, 0.0, -0.2, -0.2)),  # to half a step, that included
+        ((-0.2, 0.0, 0.2, 0.31), (0.2, 0.0, -0.2, None)),
+    ],
+)
+def test_mirrored_motion_is_the_stored_one_within_half_a_step(
+    values: tuple[float, ...], mirrored: tuple[float | None, ...]
+) -> None:
+    when = 0.3
+    time = np.tile(when + SINCE, len(values))
+    theta = np.repeat([(k, when) for k in values], len(SINCE), axis=0)
+    stored = group_by_motion(MOTION, theta, time, np.zeros((len(time), 3)), np.full((len(values), 3), 0.03), 0.0)
+    assert [None if one < 0 else stored.motion[one, 0] for one in stored.mirror] == list(mirrored)
+
+
+def test_reachable_part_of_a_path_is_from_the_first_to_the_last_place_near_a_hand() -> None:
+    near, far = TABLE.swings.position.mean(axis=0), np.full(3, 10.0)
+    asked = chooser(TABLE.swings)
+    assert asked.reachable(np.array([far, far, near, far, near, far, far])) == slice(2, 5)
+    assert asked.reachable(np.array([near])) == slice(0, 1)
+    assert asked.reachable(np.array([far, far])) == slice(0, 0)
+
+
 def test_number_of_coarse_values_is_that_of_the_parameters() -> None:
     template, stored = TABLES[2]
     with pytest.raises(ConfigError, match=r"hit\.coarse is \(10, 13\); give 3 numbers, one per parameter"):

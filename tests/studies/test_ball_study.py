@@ -41,14 +41,16 @@ def test_rating_is_leave_one_out_by_hand() -> None:
     flights = read_flights(FEW, 0.3).flights
     result = leave_one_out("five", flights, {}, [QUICK], (0.2,))
     assert result.flights == tuple("01234")
-    expected = []
+    expected, normalised = [], []
     for name, flight in flights.items():
         model = fit_ball_model([other for label, other in flights.items() if label != name], QUICK)
-        states, _ = prediction_errors(model, flight, 0.2, 0.0)
-        expected.append(np.linalg.norm(states[-1]))
+        errors, covariances = prediction_errors(model, flight, 0.2, 0.0)
+        expected.append(np.linalg.norm(errors[-1]))
+        normalised.append(errors[-1] @ np.linalg.inv(covariances[-1]) @ errors[-1] / 3.0)
     assert result.distances["spin"]["0.2"] == pytest.approx(expected, rel=1e-12)
     (last,) = (r for r in result.ratings if r.protocol == "last point")
     assert (last.mean, last.count) == (pytest.approx(np.mean(expected), rel=1e-12), 5)
+    assert last.nees == pytest.approx(np.mean(normalised), rel=1e-9)
 
 
 def test_nothing_of_the_tested_flight_reaches_its_own_prediction() -> None:

@@ -79,7 +79,11 @@ def test_one_marker_that_came_off_is_named_though_all_others_fit() -> None:
     seen = dict(zip(known, Calibration().to_motive(np.array(list(known.values()))).tolist(), strict=True))
     assert fit(seen, known).residual < 1e-9
     seen["marker 7"][1] += 0.028
-    with pytest.raises(CalibrationError, match=r"^marker 7 is off by 2\d\.. mm, .* by [78]\.. mm \(root mean square"):
+    with pytest.raises(
+        CalibrationError,
+        match=r"^marker 7 is off by 2\d\.. mm, .* \(marker 0, .*, marker 9\) by [78]\.. mm "
+        r"\(root mean square\), at most 10\.0 mm\.",
+    ):
         fit(seen, known)
 
 
