@@ -17,6 +17,9 @@ logger = logging.getLogger(__name__)
 UNREADABLE = (ValueError, struct.error, MemoryError, OverflowError)
 """What a generated class raises for bytes that hold no message of its type."""
 
+_STRANGE: dict[str, set[str]] = {}
+"""Channels of a network, by URL, of which this program has said that others speak on them."""
+
 
 class Bus:
     """Typed publish and subscribe.
@@ -32,7 +35,7 @@ class Bus:
             BusError: LCM cannot open `url`, no route leads to it, or its port is occupied.
         """
         self._transport: Transport = MemoryTransport() if url.startswith(MEMORY) else LcmTransport(url)
-        self._strange: set[str] = set()
+        self._strange = set[str]() if url.startswith(MEMORY) else _STRANGE.setdefault(url, set())
         self._newest: dict[str, tuple[Callable[[str, bytes], None], bytes]] = {}
         self._own: dict[str, Counter[bytes]] = {}  # what is on its way from here, where others are told apart
 
@@ -70,7 +73,7 @@ class Bus:
         self._transport.subscribe(channel, hear)
 
     def pass_over(self, channel: str) -> None:
-        """Say once that a channel carries what is no message of its type."""
+        """Say once that a channel carries what is no message of its type, over all trials on one network."""
         if channel not in self._strange:
             self._strange.add(channel)
             logger.warning(

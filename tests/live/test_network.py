@@ -152,3 +152,11 @@ def test_bus_that_cannot_be_opened_ends_a_program_in_one_line(tmp_path: Path, ar
     assert (ended.returncode, ended.stdout) == (2, "")
     assert ended.stderr.startswith("imolo: no multicast route")
     assert ended.stderr.count("\n") == 1
+
+
+def test_strangers_on_a_network_are_told_once_over_many_trials(caplog: pytest.LogCaptureFixture) -> None:
+    url = URL.replace("7667", "7668")
+    with namespace():
+        for channel in (channels.MOCAP, channels.PLAN, channels.MOCAP):
+            Bus(url).pass_over(channel)
+    assert [message.split()[0] for message in caplog.messages] == [channels.MOCAP, channels.PLAN]
