@@ -355,5 +355,10 @@ def _choose(cell: Indices, time: Array, unique: str, rng: np.random.Generator) -
         utime = np.rint(time * 1e6).astype(np.int64)
         key = key * (np.ptp(utime) + 1) + (utime - utime.min())
     shuffled = rng.permutation(len(key))
-    _, first = np.unique(key[shuffled], return_index=True)
-    return np.sort(shuffled[first])
+    place = np.empty_like(shuffled)
+    place[shuffled] = np.arange(len(key))
+    # Of each grid point the one that was shuffled to the front.
+    order = np.argsort(key)
+    key = key[order]
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    return np.sort(shuffled[np.minimum.reduceat(place[order], first)])
