@@ -4,7 +4,6 @@ from array import array
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from itertools import zip_longest
 from math import inf, isfinite
 from pathlib import Path
@@ -107,74 +106,75 @@ def compare_logs(first: Path, second: Path, trials: tuple[int | None, int | None
             _of_trial(run, TrialEvents(reader, trial, only_one=True))
             for run, reader, trial in zip(runs, (one, other), trials, strict=True)
         ]
-        _collect(*runs, *events)
-        return _compare(*runs)
+        return _compare(*runs, _collect(*runs, *events))
 
 
 def _of_trial(run: "_Run", events: TrialEvents) -> Iterator[LogEvent]:
-    for number, event in enumerate(events):
-        if events.trial is not None and number == 0:
+    every = iter(events)
+    for event in every:
+        if events.trial is not None:
             run.zero = events.offset - events.reader.shift
         yield event
+        yield from every
 
 
 def compare_runs(first: Sequence[LogEvent], second: Sequence[LogEvent]) -> RunComparison:
     """Compare two sequences of events."""
     runs = _Run(), _Run()
-    _collect(*runs, iter(first), iter(second))
-    return _compare(*runs)
+    return _compare(*runs, _collect(*runs, iter(first), iter(second)))
 
 
-def _collect(first: "_Run", second: "_Run", events: Iterator[LogEvent], others: Iterator[LogEvent]) -> None:
+def _collect(first: "_Run", second: "_Run", events: Iterator[LogEvent], others: Iterator[LogEvent]) -> bool:
     """Take the events of two runs, and remember none of a channel before the runs part on it.
 
     Most messages of two runs that are compared are the same, and stand at the same place in both.
+
+    Returns:
+        Whether all channels and times are the same.
     """
-    in_step = True
+    in_step = in_time = True
     for one, other in zip_longest(events, others):
         in_step = in_step and one is not None and other is not None and one.channel == other.channel
+        in_time = in_time and in_step and one.utime - first.zero == other.utime - second.zero
         same = in_step and one.channel not in first.places and bool(one.data) and one.data == other.data
         for run, event in ((first, one), (second, other)):
             if event is not None:
                 run.add(event, same)
+    return in_time
 
 
 class _Run:
     """The events of a run by channel; of those of a log only their places are kept.
 
     Attributes:
-        counts: Number of events by channel.
-        same: How many of them, the first ones of their channel, are the same in the other run.
+        same: How many events by channel, the first ones of their channel, are the same in the other run.
         places: Where the others are: their offsets in the log, or they themselves.
         zero: Subtracted from all times, so that a trial of a session is on its own clock [µs].
     """
 
     def __init__(self, reader: LogReader | None = None) -> None:
         self._reader = reader
-        self.counts: Counter[str] = Counter()
         self.same: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
         self.zero = 0
         self._robot: LogEvent | None = None
-        self._order = blake2b()
 
     def add(self, event: LogEvent, same: bool) -> None:
         """Take an event; `same` says that the other run has it as well, and that its channel has been so so far."""
-        self.counts[event.channel] += 1
-        if event.channel == ROBOT and self._robot is None:
+        channel = event.channel
+        if channel == ROBOT and self._robot is None:
             self._robot = event
+        self.same[channel] += same
         if same:
-            self.same[event.channel] += 1
-        else:
-            if event.channel not in self.places:
-                self.places[event.channel] = [] if self._reader is None else array("q")
-            self.places[event.channel].append(event if self._reader is None else event.offset)
-        self._order.update(f"{event.utime - self.zero} {event.channel}\n".encode(errors="surrogatepass"))
+            return
+        if channel not in self.places:
+            self.places[channel] = [] if self._reader is None else array("q")
+        self.places[channel].append(event if self._reader is None else event.offset)
 
     @property
-    def order(self) -> bytes:
-        """A digest of the channels and times of all events."""
-        return self._order.digest()
+    def counts(self) -> Counter[str]:
+        """Number of events by channel, in the order in which they were heard."""
+        return Counter({name: same + len(self.places.get(name, ())) for name, same in self.same.items()})
 
     def events(self, channel: str) -> Iterator[LogEvent]:
         """Yield the events of a channel from the first on that may differ."""
@@ -190,13 +190,13 @@ class _Run:
         return iter([event.data]) if self._reader is None else self._reader.chunks(event)
 
 
-def _compare(first: _Run, second: _Run) -> RunComparison:
+def _compare(first: _Run, second: _Run, in_time: bool) -> RunComparison:
     names = [*first.counts, *second.counts]
     ordered = dict.fromkeys([*(name for name in CHANNELS if name in names), *names])
     called = first.names()
     compared = tuple(_compare_channel(name, first, second, called) for name in ordered)
     differences = [channel.first for channel in compared if channel.first is not None]
-    same = not differences and first.order == second.order
+    same = not differences and in_time
     earliest = min(differences, key=lambda found: (found.of_backend, found.utime), default=None)
     return RunComparison(compared, earliest, same)
 

@@ -6,7 +6,7 @@ LCM's own reader ends silently at the first damage, drops the last event before 
 import logging
 import os
 import struct
-from collections.abc import Container, Iterator
+from collections.abc import Container, Generator, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -95,6 +95,7 @@ class LogReader:
         self._with_data, self._quiet = with_data, quiet
         self._block, self._block_start = b"", 0
         self._found_one = False
+        self._last: int | None = None  # when the newest event was recorded [µs]
         self._damaged = 0
         try:
             # A pipe or a device has no end, and opening a pipe waits for its other side.
@@ -123,28 +124,57 @@ class LogReader:
         Raises:
             BusError: The file cannot be read, or holds no event at all.
         """
-        position, header = 0, self._header(0)
-        last: int | None = None
         steps: list[tuple[int, int]] = []  # when, and by how much the clock stepped back [µs]
+        self._last = None
+        for event in self._events():
+            if self._last is not None and event.utime < self._last:
+                self.shift += self._last - event.utime
+                steps.append((self._last, self._last - event.utime))
+            self._last = event.utime
+            yield event
+        if self._size and not self._found_one:
+            raise BusError(f"{self.path} is no LCM log; give a file that imolo or lcm-logger wrote")
+        if not self._quiet:
+            self._warn(steps)
+
+    def _events(self) -> Iterator[LogEvent]:
+        position, header = 0, self._header(0)
         while position < self._size:
             following = None if header is None else self._header(header.end)
             if header is None or not self._is_whole(header, following):
                 start, (position, header) = position, self._next(position + 1)
                 cut = position == self._size and self._read(start, len(SYNC)) == SYNC
                 what = "the log is cut off" if cut else f"{position - start} damaged bytes"
-                self.add_damage(Damage(start, position, last, what))
+                self.add_damage(Damage(start, position, self._last, what))
                 continue
-            if last is not None and header.utime < last:
-                self.shift += last - header.utime
-                steps.append((last, last - header.utime))
-            last = header.utime
             self._found_one = True
             yield self._event(header)
             position, header = header.end, following
-        if self._size and not self._found_one:
-            raise BusError(f"{self.path} is no LCM log; give a file that imolo or lcm-logger wrote")
-        if not self._quiet:
-            self._warn(steps)
+            if header is not None:
+                position = yield from self._of_block(header)
+                header = header if position == header.start else self._header(position)
+
+    def _of_block(self, header: _Header) -> Generator[LogEvent, None, int]:
+        """Yield the events from a header on that stand in the block and are followed by the next; return where it ends.
+
+        `_events` would yield the same, but in twice the time.
+        """
+        block, base, wanted = self._block, self._block_start, self._with_data
+        number, utime, channel, start, data_start, end = header
+        at, data_at, next_at = start - base, data_start - base, end - base
+        while at >= 0 and next_at + HEADER.size + MAX_CHANNEL_LENGTH <= len(block):
+            sync, next_number, next_utime, channel_length, data_length = HEADER.unpack_from(block, next_at)
+            next_data = next_at + HEADER.size + channel_length
+            if sync != SYNC or next_number != number + 1 or not 0 < channel_length <= MAX_CHANNEL_LENGTH:
+                break
+            next_channel = _name(block[next_at + HEADER.size : next_data])
+            if data_length < 0 or base + next_data + data_length > self._size or not next_channel:
+                break
+            data = block[data_at:next_at] if wanted is None or channel in wanted else b""
+            yield LogEvent(number, utime, channel, data, base + at)
+            number, utime, channel = next_number, next_utime, next_channel
+            at, data_at, next_at = next_at, next_data, next_data + data_length
+        return base + at
 
     def event(self, offset: int) -> LogEvent:
         """Return the event that starts at the offset of one that was read before [bytes]."""
@@ -254,11 +284,11 @@ class LogReader:
         return at
 
 
-@lru_cache(maxsize=1024)
 def _others(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
+@lru_cache(maxsize=1024)
 def _name(channel: bytes) -> str:
     """Return the name of a channel; empty if it can be none."""
     return "" if b"\0" in channel else channel.decode("utf-8", "backslashreplace")

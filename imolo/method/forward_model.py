@@ -253,8 +253,11 @@ class ForwardModel:
                 result = self._kernel_sum.evaluate(inputs)
             else:
                 result = np.concatenate([self._regressor.predict(inputs[part]) for part in chunks(len(inputs))])
-        result = result * self._output_scaling.spread + self._output_scaling.mean
-        result += self._expected(theta, time)
+        # In place: half a million positions are predicted at once.
+        result *= self._output_scaling.spread
+        result += self._output_scaling.mean
+        if self.prior is not None:
+            result += self.prior.predict(theta, time)
         return result
 
     def predict_std(self, theta: ArrayLike, time: ArrayLike) -> Array:

@@ -11,7 +11,16 @@ from pydantic import Field
 from imolo.config.model import Fraction, Model, NonNegative, Positive
 from imolo.errors import ConfigError
 from imolo.method.commands import to_microseconds
-from imolo.method.hit_kernel import BallPath, Extent, Found, Swings, Underway, most_probable, most_probable_of
+from imolo.method.hit_kernel import (
+    BallPath,
+    Extent,
+    Found,
+    Swings,
+    Underway,
+    most_probable,
+    most_probable_of,
+    part_within,
+)
 from imolo.method.motion import MotionTemplate, Theta, motion_rows
 
 Array = NDArray[np.float64]
@@ -186,11 +195,11 @@ class HitChooser:
         self._free = Underway((0.0,) * (2 * count), -1.0, False)
         most_probable(nowhere, self._free, True, swings, self._extent, self._coarse)
         most_probable_of(np.zeros(1, dtype=np.int64), nowhere, swings, self._extent)
+        self.reachable(np.zeros((1, 6))[:, :3])  # as a planner cuts it out of its states
 
     def reachable(self, position: Array) -> slice:
         """Return the part of a path, shape (N, 3), outside which no hand comes near; it may be empty."""
-        inside = np.flatnonzero(((position > self._low) & (position < self._high)).all(axis=1))
-        return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else slice(0, 0)
+        return slice(*part_within(position, self._low, self._high))
 
     def start(self, ball: BallPath) -> ProbableHit | None:
         """Return the motion to start now; None if there is none, or a later start is likelier to hit.

@@ -183,6 +183,20 @@ def meeting_probability(
 
 
 @njit(cache=True)
+def part_within(position: Array, low: Array, high: Array) -> tuple[int, int]:
+    """Return the first point of a path, shape (N, 3), inside a box, and the point behind the last; 0, 0 if none is."""
+    first, end = 0, 0
+    for point in range(len(position)):
+        inside = True
+        for axis in range(3):
+            inside = inside and low[axis] < position[point, axis] < high[axis]
+        if inside:
+            first = first if end else point
+            end = point + 1
+    return first, end
+
+
+@njit(cache=True)
 def most_probable_of(motions: Indices, ball: BallPath, swings: Swings, extent: Extent) -> Found:
     """Return which of some motions most probably meets the ball, with either of its hands.
 

@@ -5,6 +5,7 @@ that it can tell which part of a motion is executed already. Any subclass of `Mo
 `PhasedMotion` is the paper's, with any number of channels, phases and parameters.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import itemgetter
@@ -238,15 +239,20 @@ class PhasedMotion(MotionTemplate):
         if len(theta) != len(self.varied):
             names = ", ".join(one.name for one in self.varied)
             raise ConfigError(f"theta is {tuple(theta)}; give {len(self.varied)} values: {names}")
-        targets = np.array([phase.target for phase in self.phases])
+        # Without arrays: a planner does this once a ball, where NumPy's code is in no cache.
+        targets = [phase.target for phase in self.phases]
+        ends: list[float] = [math.nan if phase.until is None else phase.until for phase in self.phases]
         for one, value in zip(self.varied, theta, strict=True):
             self._check_value(one, value)
+            if one.direction is None:
+                ends[one.phase - 1] = value
+                continue
             for phase in one.changed_phases:
-                targets[phase - 1] += value * np.array(one.direction)
-        ends = self._ends(np.array([theta], dtype=np.float64))[0]
-        switch_utime = tuple(onset_utime + to_microseconds(time) for time in ends.tolist())
+                target = zip(targets[phase - 1], one.direction, strict=True)
+                targets[phase - 1] = tuple(before + value * change for before, change in target)
+        switch_utime = tuple(onset_utime + to_microseconds(time) for time in ends)
         try:
-            return Commands(onset_utime, switch_utime, targets)
+            return Commands(onset_utime, switch_utime, np.array(targets))
         except MessageError as error:
             raise ConfigError(f"{self.label(theta)} is no motion: {error}") from error
 
@@ -286,7 +292,7 @@ class PhasedMotion(MotionTemplate):
         low, high = self.bounds(one)
         unit = f" {one.unit}".rstrip()
         if one.direction is None and one.range is None:
-            inside = np.isfinite(value) and to_microseconds(low) < to_microseconds(value) < to_microseconds(high)
+            inside = math.isfinite(value) and to_microseconds(low) < to_microseconds(value) < to_microseconds(high)
             if not inside:
                 raise ConfigError(
                     f"{one.name} is {value:g}{unit}; give more than {low:g}{unit} and less than {high:g}{unit}"

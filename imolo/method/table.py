@@ -25,7 +25,7 @@ from imolo.method.table_kernel import first_match, nearest_tuple
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MAX_CELLS = 20_000_000  # 160 MB of cell starts; the paper's table has some 10^5 cells
+MAX_CELLS = 20_000_000  # 160 MB where each starts; the paper's table has some 10^5 cells
 
 
 class Executed(NamedTuple):
@@ -97,7 +97,9 @@ class LookupTable:
         self._box = _box(cell)
         flat = _flat_index(cell, self._box)
         order = np.lexsort((*theta.T[::-1], time, flat))
-        self._cell_start = np.searchsorted(flat[order], np.arange(np.prod(self._box[3:]) + 1)).astype(np.int64)
+        slots, index = _time_slots(time[order], int(np.prod(self._box[3:])), grid.time_tolerance)
+        first = np.searchsorted(flat[order] * slots[0] + index, np.arange(slots[0] * np.prod(self._box[3:]) + 1))
+        self._cell_start = first[:: slots[0]]
         self._cell = cell[order]
         self.position = self._cell * grid.spacing
         self.hand_std = hand_std
@@ -107,7 +109,7 @@ class LookupTable:
         tuples = np.column_stack((time, motion_rows(template, theta)))[order]
         count = self._count = theta.shape[1]
         self.time, self.theta = tuples[:, 0], tuples[:, 1 : 1 + count]
-        cells = np.concatenate((self._box, self._cell_start))
+        cells = np.concatenate((self._box, slots, first)).astype(np.int32)
         self._searched = cells, tuples, grid.spacing, self._reach, grid.time_tolerance
         self._row = template.row_maker()
         self._nothing = (0.0,) * (2 * count), -1.0
@@ -291,7 +293,7 @@ class LookupTable:
                 robot=header["robot"],
                 origin=header["origin"],
             )
-        except (LookupError, TypeError, ValueError, ImoloError) as error:
+        except (LookupError, TypeError, ValueError, OverflowError, ImoloError) as error:
             if isinstance(error, TableFileError):
                 raise
             raise TableFileError(f"table file {path} does not fit this imolo ({error}); build it again") from error
@@ -325,6 +327,16 @@ def _box(cell: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate((lowest, [column.max() + 1 for column in cell.T] - lowest))
 
 
+def _time_slots(time: Array, cells: int, tolerance: float) -> tuple[list[int], Indices]:
+    """Return how many slots of time a cell has, how many Δt each, which is the first; then that of each time."""
+    lowest, highest = np.floor(np.array((time.min(), time.max())) / tolerance)
+    # As few as leave four tuples to a slot: a small table's cells are read at a glance, and each slot takes memory.
+    length = max(1, math.ceil((highest - lowest + 1) * 4 * cells / len(time)))
+    index = np.floor(time / (length * tolerance)).astype(np.int64)
+    start = int(index.min())
+    return [int(np.ptp(index)) + 1, length, start], index - start
+
+
 def _inside(index: Array, size: Indices) -> bool:
     return bool(np.all((index >= 0) & (index < size)))
 
@@ -343,5 +355,10 @@ def _choose(cell: Indices, time: Array, unique: str, rng: np.random.Generator) -
         utime = np.rint(time * 1e6).astype(np.int64)
         key = key * (np.ptp(utime) + 1) + (utime - utime.min())
     shuffled = rng.permutation(len(key))
-    _, first = np.unique(key[shuffled], return_index=True)
-    return np.sort(shuffled[first])
+    place = np.empty_like(shuffled)
+    place[shuffled] = np.arange(len(key))
+    # Of each grid point the one that was shuffled to the front.
+    order = np.argsort(key)
+    key = key[order]
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    return np.sort(shuffled[np.minimum.reduceat(place[order], first)])

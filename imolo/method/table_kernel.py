@@ -38,7 +38,7 @@ def nearest_tuple(
     time: float,
     executed: Row,
     elapsed: float,
-    cells: NDArray[np.int64],
+    cells: NDArray[np.int32],
     tuples: NDArray[np.float64],
     spacing: float,
     reach: float,
@@ -53,8 +53,9 @@ def nearest_tuple(
         time: When, since the onset [s].
         executed: As in `keeps_executed_part`; any before the onset.
         elapsed: As in `keeps_executed_part`.
-        cells: Lowest grid index of the box of the table along x, y, z, its number of cells along each, then the first
-            tuple of each cell, rows of z, shape (6 + number of cells + 1,).
+        cells: Lowest grid index of the box of the table along x, y, z, its number of cells along each, how many slots
+            of time each cell has, how many Δt a slot has, the number of the first since the onset, then the first tuple
+            of each slot of each cell, rows of z, shape (9 + number of slots + 1,).
         tuples: t [s], theta, then from when on each parameter shows in U [µs], sorted by cell, t and theta,
             shape (M, 1 + 2 n).
         spacing: d_grid [m].
@@ -77,7 +78,9 @@ def nearest_tuple(
     # Only the nearest grid point can be nearer than half a cell, so no other cell is searched.
     if not square < reach**2:
         return -1, 0.0, found
-    first, end = cells[6 + cell], cells[7 + cell]
+    # Only tuples of these slots can be near enough in time; in a large table each look at memory counts.
+    first = int(cells[9 + _slot(cells, cell, time - 0.5 * time_tolerance, time_tolerance)])
+    end = int(cells[10 + _slot(cells, cell, time + 0.5 * time_tolerance, time_tolerance)])
     later = _not_below(tuples, 0, first, end, time)
     earlier = later  # behind the last of those
     bound = np.rint(elapsed * 1e6) > np.rint(executed[len(executed) // 2] * 1e6)
@@ -104,6 +107,15 @@ def nearest_tuple(
 
 
 @njit(cache=True, inline="always")
+def _slot(cells: NDArray[np.int32], cell: int, time: float, time_tolerance: float) -> int:
+    """Return the number of a cell's slot for a time [s], its first or last if it has none; it grows with the time."""
+    slots = int(cells[6])
+    index = time / (cells[7] * time_tolerance) - cells[8]
+    within = slots - 1 if index >= slots else int(index) if index > 0.0 else 0  # also NaN
+    return cell * slots + within
+
+
+@njit(cache=True, inline="always")
 def _not_below(rows: NDArray[np.float64], column: int, low: int, high: int, value: float) -> int:
     """Return the first of some rows, sorted by a column, that is not below a value."""
     while low < high:
@@ -121,7 +133,7 @@ def first_match(
     times: NDArray[np.float64],
     executed: Row,
     elapsed: float,
-    cells: NDArray[np.int64],
+    cells: NDArray[np.int32],
     tuples: NDArray[np.float64],
     spacing: float,
     reach: float,

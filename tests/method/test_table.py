@@ -131,6 +131,35 @@ def test_query_finds_what_a_search_of_all_tuples_finds(
         assert hit.time == TABLE.time[hit.tuple_index]
 
 
+@pytest.mark.parametrize("late", [-0.5, -0.25, 0.0, 0.25, 0.5, 0.5 + 1e-9])
+def test_full_cells_answer_at_the_edges_of_the_tolerance(late: float) -> None:
+    tolerance = ROUGH.time_tolerance
+    # Times at multiples of a quarter of Δt, from before the onset on: at the edges of every division in time.
+    quarters = np.arange(-9, 160)
+    time = np.append(quarters * 0.25 * tolerance, (0.0, 3.0))
+    theta = np.random.default_rng(0).choice(TABLE.theta, len(time))
+    table = LookupTable(
+        np.repeat([[4, 5, 6]], len(time), axis=0),
+        time,
+        theta,
+        TABLE.hand_std,
+        grid=ROUGH,
+        template=TABLE.template,
+        forward_model=TABLE.forward_model,
+        training=TABLE.training,
+        robot="testbot",
+        origin={},
+    )
+    for at in (*time[::7], -1.0, -3.0 * tolerance, 2.99, 3.01, np.inf, -np.inf, np.nan):
+        when = np.array([at + late * tolerance])
+        executed = Executed(tuple(table.theta[3].tolist()), 0.26)
+        for asked in (None, executed):
+            hit = table.query_path(table.position[:1], when, asked)
+            expected = brute_force(table, table.position[:1], when, asked)
+            assert (hit and (hit.path_index, hit.tuple_index)) == expected
+    np.testing.assert_array_equal(table.times_at(table.position[0]), np.sort(time))
+
+
 def test_whole_numbers_are_asked_for_like_others() -> None:
     asked = (TABLE.position[0].tolist(), TABLE.time[0].item())
     hits = [TABLE.query(*asked, Executed(theta, -1.0)) for theta in ((0, 0.3), (0.0, 0.3))]
