@@ -68,6 +68,19 @@ def test_messages_with_other_bytes_and_the_same_numbers_differ() -> None:
         assert (channel.first.field, channel.first.values) == ("bytes", (one.hex(), two.hex()))
 
 
+def test_same_recording_has_the_same_order_and_times() -> None:
+    first = [LogEvent(0, 7, "MOCAP", b"a", 0), LogEvent(1, 8, "PLAN", b"b", 0), LogEvent(2, 9, "HERS", b"", 0)]
+    later = [*first[:2], first[2]._replace(utime=10)]
+    swapped = [first[0], first[2]._replace(utime=8), first[1]._replace(utime=9)]
+    for second, same in ((first, True), (later, False), (swapped, False)):
+        found = compare_runs(first, second)
+        assert (found.first, found.same_recording) == (None, same)
+        assert [channel.counts for channel in found.channels] == [(1, 1)] * 3
+    shorter = compare_runs(first, first[:2])
+    assert not shorter.same_recording
+    assert [channel.counts for channel in shorter.channels] == [(1, 1), (1, 1), (1, 0)]
+
+
 def test_element_that_only_one_message_has_is_named() -> None:
     frame, more = mocap_frame_t(), mocap_frame_t()
     more.markers = [marker_t()]
