@@ -1,6 +1,7 @@
 """Plots, the table of channels, and the view in the browser."""
 
 import base64
+import io
 import re
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import zstandard
 from command_line import Run
 from recorded_trials import Recorded, write_events
 from requirements import needs
+from rich.console import Console
 
 from imolo.config.loading import known_body
 from imolo.contracts.trial import EventName
@@ -22,11 +24,12 @@ from imolo.inspect.fields import parse_selector
 from imolo.inspect.plot import draw_fields, short_names
 from imolo.inspect.series import read_series
 from imolo.inspect.statistics import BusStatistics, ChannelStatistics, _short
-from imolo.inspect.top import WIDE, live_table
+from imolo.inspect.top import WIDE, live_table, watch
 from imolo.messaging import channels
 from imolo.messaging.bus import Bus
 from imolo.messaging.log import read_log
 from imolo.messaging.log_file import read_events
+from imolo.messaging.transport import MEMORY
 from imolo.view.sessions import LiveSession, recorded_sessions
 from imolo_msgs import mocap_frame_t, plan_t, trial_event_t, truth_robot_t
 
@@ -215,6 +218,13 @@ def test_top_follows_a_bus(recorded: Recorded, mark: None) -> None:
     shown = Path(f"{recorded.first}.top").read_text()
     for name, messages in read_log(recorded.first).messages.items():
         assert re.search(rf"^ {name} +\w+_t +{len(messages)} ", shown, flags=re.MULTILINE), shown
+
+
+def test_picture_is_drawn_anew_while_top_looks_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imolo.inspect.top.REFRESH", 0.05)
+    screen = io.StringIO()
+    watch(MEMORY, Console(file=screen, force_terminal=True, width=120, height=40), seconds=1.0)
+    assert screen.getvalue().count(channels.MOCAP) > 2  # not only at its start and at its end
 
 
 # View
