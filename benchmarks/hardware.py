@@ -44,6 +44,7 @@ NUM_VALVES = 8  # of the default robot
 RATE = 120.0  # [Hz] of the commands, one per camera frame
 PHASES = 40  # in a motion; each one has another pressure
 PHASE = 20_000  # [µs]
+ASKED_EVERY = 0.005  # [s]
 MOTIONS = 10
 IMOLO = (sys.executable, "-m", "imolo.command_line.main")
 BALLS, MISSES = 20, 4
@@ -280,8 +281,10 @@ def _stop_commanding(client: BoardClient, sequence: int) -> float:
     accepted = 0
     while True:
         client.ask_time()
-        select.select((client.fileno(),), (), (), 0.005)
-        for state in client.poll():
-            if state.board_state != BoardState.ARMED:
-                return 1e-3 * (state.entered_utime - accepted)
-            accepted = state.accepted_utime
+        end = time.monotonic() + ASKED_EVERY  # the board drops a link that asks as fast as it is answered
+        while (left := end - time.monotonic()) > 0.0:
+            select.select((client.fileno(),), (), (), left)
+            for state in client.poll():
+                if state.board_state != BoardState.ARMED:
+                    return 1e-3 * (state.entered_utime - accepted)
+                accepted = state.accepted_utime
