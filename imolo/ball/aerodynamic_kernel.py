@@ -149,8 +149,8 @@ def transition(
         for i in range(3):
             noise[i, i] += density * t * t * t / 3.0
             noise[3 + i, 3 + i] += density * t
-            noise[i, 3 + i] += density * t * t / 2.0
-            noise[3 + i, i] += density * t * t / 2.0
+            noise[i, 3 + i] += density * t * h / 2.0
+            noise[3 + i, i] += density * t * h / 2.0
     return state, total, noise
 
 

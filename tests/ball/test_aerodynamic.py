@@ -160,6 +160,16 @@ def test_propagation_composes(first, second):
     np.testing.assert_allclose(once[1], twice[1], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("duration", [0.5 * LONGEST_STEP, 0.3, -0.1])
+def test_noise_without_drag_is_that_of_a_white_acceleration(duration):
+    # Q of x'' = w is density times |t|³/3, t |t|/2 and |t|: back in time, too high and too slow go together.
+    density, state = 2.0, np.concatenate([[5.0, 0.0, 1.1], MEAN[:3], [0.0]])
+    noise = transition(state, duration, density, GRAVITY, LONGEST_STEP)[2]
+    t = abs(duration)
+    expected = density * np.kron([[t**3 / 3.0, t * duration / 2.0], [t * duration / 2.0, t]], np.eye(3))
+    np.testing.assert_allclose(noise[:6, :6], expected, rtol=1e-9, atol=1e-12)
+
+
 def test_covariance_prediction_is_the_propagated_one():
     model = known()
     state, covariance = np.concatenate([[5.0, 0.0, 1.1], MEAN]), np.diag(np.concatenate([np.full(3, 1e-5), SPREAD**2]))

@@ -175,6 +175,18 @@ def test_late_frames_change_nothing(model, order):
     assert shuffled.counters.late_frames == len(arrival) - len(newest)
 
 
+def test_frame_that_comes_twice_counts_once(model):
+    rng = np.random.default_rng(5)
+    seen = frames(scene(rng, duration=0.4)[0], rng)
+    once, twice = BallTracker(model), BallTracker(model)
+    for frame in seen:
+        expected, found = once.update(frame), twice.update(frame)
+        assert twice.update(frame) is None
+        assert (found is None) == (expected is None)
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    assert twice.counters.late_frames == len(seen)
+
+
 def test_marker_that_is_not_finite_is_ignored_counted_and_warned_of_once(model, caplog):
     rng, tracker, clean = np.random.default_rng(6), BallTracker(model), BallTracker(model)
     states, _ = scene(rng)

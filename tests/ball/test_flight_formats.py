@@ -162,6 +162,14 @@ def test_separators_and_decimal_commas_are_named_one_after_the_other_and_taken(
         np.testing.assert_allclose(track.position, TRACKS[name].position, atol=1e-7)
 
 
+@pytest.mark.parametrize("row", ['"0"x,0.1,1,2,3', '0,"0.1"1,1,2,3', '"0,0.1,1,2,3'])
+def test_text_beside_a_quote_or_a_quote_left_open_is_refused(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text(f"{','.join(HEADER)}\n{row}\n0,0.2,1,2,3\n", encoding="utf-8")
+    with pytest.raises(TrainingDataError, match="is no CSV text"):
+        read_tracks(path)
+
+
 def test_decimal_commas_between_commas_are_told(tmp_path: Path) -> None:
     path = tmp_path / "f.csv"
     path.write_text(",".join(HEADER) + "\n0,0,005,1,5,2,5,3,5\n", encoding="utf-8")

@@ -115,6 +115,18 @@ def test_drain_of_a_silent_bus_returns() -> None:
     assert seen == []
 
 
+def test_bus_in_memory_waits_only_where_nothing_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("imolo.messaging.transport.time.sleep", slept.append)
+    bus, seen = Bus(), []
+    bus.subscribe(channels.MOCAP, lambda message: seen.append(message.utime))
+    bus.publish(channels.MOCAP, frame(7))
+    bus.wait(5.0)
+    assert (seen, slept) == ([7], [])
+    bus.wait(5.0)
+    assert (seen, slept) == ([7], [5.0])
+
+
 def test_subscription_to_an_unknown_channel_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(BusError, match="did you mean 'MOCAP'"):
         Bus().subscribe("MOCPA", lambda _: None)
