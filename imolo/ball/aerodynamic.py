@@ -16,7 +16,6 @@ p is the position as they see it, which is what is measured, predicted and hit:
     ṗ = v + ḃ,   ḃ = -b / τ + white noise
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
@@ -27,7 +26,9 @@ from pydantic import Field, ValidationError
 
 from imolo.ball.aerodynamic_kernel import (
     LONGEST_STEP,
+    filter_step,
     fly,
+    noise_at,
     normal_equations,
     position_covariances,
     seen_transition,
@@ -95,8 +96,8 @@ class AerodynamicBallModel:
 
     def _noise_at(self, position: Array) -> float:
         """Return the variance of noise and b at a position [m], shape (3,), over that at `noise_center`."""
-        change = float(self.noise_slope @ (position - self.noise_center))
-        return math.exp(min(max(change, -self.noise_reach), self.noise_reach))
+        at: float = noise_at(position, self.noise_center, self.noise_slope, self.noise_reach)
+        return at
 
     def _transition(self, state: Array, duration: float) -> tuple[Array, Array, Array]:
         """Return the state `duration` [s] later, its sensitivity to the old one, and the covariance that is new."""
@@ -157,9 +158,11 @@ class AerodynamicBallModel:
 
     def advance(self, kalman: BallFilter, duration: float) -> None:
         """Let a filter predict `duration` [s] ahead, with the model linearised about its state."""
-        state, F, Q = self._transition(kalman.x, duration)
-        kalman.predict(u=ON, B=(state - F @ kalman.x)[:, None], F=F, Q=Q)
-        kalman.R = self.measurement_covariance(state[:3])
+        F, Q, offset, kalman.R = filter_step(
+            *(kalman.x, float(duration), self.acceleration_density, self.gravity, self.measurement_std),
+            *(self.bias_std, self.bias_time, self.noise_center, self.noise_slope, self.noise_reach),
+        )
+        kalman.predict(u=ON, B=offset, F=F, Q=Q)
 
     def propagate(self, state: Array, covariance: Array, duration: float) -> tuple[Array, Array]:
         """Return state, shape (n,), and covariance, shape (n, n), `duration` [s] later."""

@@ -188,6 +188,44 @@ def seen_transition(
 
 
 @njit(cache=True)
+def noise_at(position: Array, center: Array, slope: Array, reach: float) -> float:
+    """Return the variance of the cameras' errors at a position [m], shape (3,), over that at `center`.
+
+    Its logarithm changes by `slope` [1/m], shape (3,), but never by more than `reach`.
+    """
+    change = 0.0
+    for axis in range(3):
+        change += slope[axis] * (position[axis] - center[axis])
+    return math.exp(min(max(change, -reach), reach))
+
+
+@njit(cache=True)
+def filter_step(
+    state: Array,
+    duration: float,
+    density: float,
+    gravity: Array,
+    measurement_std: Array,
+    bias_std: Array,
+    bias_time: float,
+    center: Array,
+    slope: Array,
+    reach: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return what a Kalman filter needs to carry a state over `duration` [s], in one call.
+
+    Returns:
+        F and Q as of `seen_transition`; what is added to F x, shape (n, 1); R, the covariance of a position measured
+        then [m²], shape (3, 3).
+    """
+    bias_variance = bias_std * bias_std * noise_at(state, center, slope, reach)
+    later, F, Q = seen_transition(state, duration, density, gravity, bias_variance, bias_time, LONGEST_STEP)
+    offset = later - F @ state
+    R = np.diag(measurement_std * measurement_std * noise_at(later, center, slope, reach))
+    return F, Q, offset.reshape((len(state), 1)), R
+
+
+@njit(cache=True)
 def position_covariances(
     state: Array,
     covariance: Array,
