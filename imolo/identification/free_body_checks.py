@@ -123,12 +123,11 @@ def _check_units(tosses: Sequence[Toss], gravity: float) -> None:
     interval = float(np.median(np.concatenate([np.diff(toss.time) for toss in tosses])))
     if not SHORTEST_FRAME < interval < LONGEST_FRAME:
         raise TrainingDataError(f"a frame lasts {interval:g} s; are the times in ms? time_s is in seconds")
-    starts = [
-        np.polynomial.Polynomial.fit(toss.time[:FIRST], toss.position[:FIRST, axis], 2).convert().coef[2]
+    curvatures = [
+        np.polynomial.polynomial.polyfit(toss.time[:FIRST] - toss.time[0], toss.position[:FIRST], 2)[2]
         for toss in tosses
-        for axis in range(3)
     ]
-    fall = 2.0 * np.median(np.reshape(starts, (-1, 3)), axis=0)
+    fall = 2.0 * np.median(curvatures, axis=0)
     size = float(np.linalg.norm(fall))
     if size > 2.0 * gravity:
         raise TrainingDataError(

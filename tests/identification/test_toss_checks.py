@@ -52,6 +52,12 @@ def test_another_gravity_is_no_other_scale() -> None:
     assert not findings["length scale"].warning
 
 
+def test_bodies_that_fall_straight_down_are_checked() -> None:
+    straight = [0.0, 0.0, 1.0]
+    tosses = [replace(one, position=one.position * straight, velocity=one.velocity * straight) for one in parabolas()]
+    assert found(tosses)["free fall"].value == pytest.approx(9.81, abs=1e-6)
+
+
 def test_a_recording_that_begins_wrongly_is_left_out() -> None:
     tosses = parabolas(number=20, noise=NOISE)
     jumped = tosses[3].position.copy()
