@@ -213,7 +213,8 @@ def write_motive(path: Path, units: str = "Meters", factor: float = 1.0, extra: 
         return [word for word in words for _ in range(3)]
 
     rows: list[list[str]] = [
-        ["Format Version", "1.23", "Take Name", "Throws, May", "Export Frame Rate", "180", "Length Units", units],
+        ["Format Version", "1.23", "Take Name", "Throws, May", "Export Frame Rate", "180", "Length Units", units]
+        + (["Rotation Type"] if extra else []),
         [],
         ["", "Type", *spare[2:], *three(kinds)],
         ["", "Name", *spare[2:], *three(names)],

@@ -114,6 +114,14 @@ def test_trial_that_ran_faster_than_it_was_recorded_ends_before_the_next(tmp_pat
     assert timeline.origin == WALL
 
 
+def test_log_of_messages_without_a_time_of_their_own_begins_with_the_first(tmp_path: Path) -> None:
+    beats = [LogEvent(0, WALL + late, channels.HEARTBEAT, heartbeat_t().encode(), 0) for late in (0, 600)]
+    with LogReader(write_events(tmp_path / "log", beats), CHANNELS) as reader:
+        timeline = Timeline(TrialEvents(reader), CHANNELS)
+        assert [(each.time - WALL, each.trial) for each in timeline] == [(0, -1), (600, -1)]
+    assert timeline.origin == WALL
+
+
 def test_log_without_a_trial_is_on_the_clock_of_its_messages(tmp_path: Path) -> None:
     path = write_events(tmp_path / "log", [ball_at(300, WALL), ball_at(900, WALL + 600)])
     (found,) = read_series(path, [BALL])

@@ -101,7 +101,7 @@ class Playback:
         """Answer clients and send the frames that are due at a monotonic time [s]."""
         self._server.poll(now)
         if self._started is None:
-            if not self._server.times_asked:
+            if not self._server.asked:
                 return
             self._started = now
             # From here on the server's clock is that of the recording.

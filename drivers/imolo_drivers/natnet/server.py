@@ -26,7 +26,7 @@ class NatNetServer:
     Attributes:
         definitions: What is answered to a client that asks for the models.
         clock_start: Monotonic time at which the server's clock shows 0 [s].
-        times_asked: How often a client has asked for the models; one that has is ready for frames.
+        asked: Whether a client has asked for the models, and so is ready for frames.
         unreadable: Packets that could not be decoded.
         unsent: Frames that the network did not take.
     """
@@ -59,7 +59,7 @@ class NatNetServer:
         """
         check_version(version)
         self.definitions = definitions or m.ModelDefinitions()
-        self.times_asked = 0
+        self.asked = False
         self.unreadable = 0
         self.unsent = 0
         self._config = config
@@ -158,7 +158,7 @@ class NatNetServer:
             case m.Disconnect():
                 self._clients.pop(client, None)
             case m.ModelDefinitionsRequest():
-                self.times_asked += 1
+                self.asked = True
                 self._reply(self.definitions, client)
             case m.EchoRequest(sent):
                 # Read anew: what came after `now` would be answered with a time before it was asked.
