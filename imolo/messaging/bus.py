@@ -100,7 +100,7 @@ class Bus:
         decode = _message_type(channel).decode
 
         def hear(_: str, data: bytes) -> None:
-            if own[data] > 0:
+            if own[data]:
                 own[data] -= 1
                 return
             with contextlib.suppress(*UNREADABLE):

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import played_trials as trials
@@ -14,7 +15,7 @@ from running_emulator import PATIENCE, RunningEmulator, emulator
 from imolo.config.loading import config_for
 from imolo.contracts.planner import Controller
 from imolo.contracts.trial import EventName, Trial, TrialKind
-from imolo.errors import BackendError
+from imolo.errors import BackendError, TrainingDataError
 from imolo.messaging import channels
 from imolo.messaging.channels import STREAMS
 from imolo.messaging.log import Log, read_log
@@ -34,6 +35,14 @@ THETA: Theta = (0.5, 0.25)
 DURATION = START_MARGIN + THETA[1] + 0.3  # [s] of a training trial, of which the swing starts at t_w
 
 
+class Played(NamedTuple):
+    """A motion through the emulator and simulated, and how long the machine held the emulator up [s]."""
+
+    robot: Log
+    simulated: Log
+    lost: float
+
+
 def play(
     running: RunningEmulator, path: Path, kind: TrialKind, controller: Controller, duration: float, index: int = 0
 ) -> Log:
@@ -45,56 +54,63 @@ def play(
     scope="module",
     params=[pytest.param(name, marks=() if name == "mujoco" else pytest.mark.slow) for name in AVAILABLE],
 )
-def training(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, Log]:
+def training(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Played:
     """Return the same motion through the emulator, and simulated in this process."""
     folder = tmp_path_factory.mktemp(request.param)
     with emulator(request.param) as running:
-        player = MotionPlayer(running.config().motion, THETA)
+        player, before = MotionPlayer(running.config().motion, THETA), running.robot.lost
         log = play(running, folder / "robot", TrialKind.TRAINING, player, DURATION)
-    return log, trials.play_motion(trials.config(request.param), folder / "simulated", THETA, 0.3)
+        lost = running.robot.lost - before
+    return Played(log, trials.play_motion(trials.config(request.param), folder / "simulated", THETA, 0.3), lost)
 
 
-def test_robot_speaks_on_the_channels_of_a_simulation_but_knows_no_truth(training: tuple[Log, Log]) -> None:
-    robot, simulated = ({name for name, messages in log.messages.items() if messages} for log in training)
+def test_robot_speaks_on_the_channels_of_a_simulation_but_knows_no_truth(training: Played) -> None:
+    robot, simulated = (
+        {name for name, messages in log.messages.items() if messages} for log in (training.robot, training.simulated)
+    )
     assert robot == simulated - SIMULATION_ONLY
 
 
-def test_messages_of_the_robot_have_the_types_of_their_channels(training: tuple[Log, Log]) -> None:
-    for name in training[0].messages:
-        assert all(isinstance(message, STREAMS[name].message_type) for message in training[0].messages.get(name, []))
+def test_messages_of_the_robot_have_the_types_of_their_channels(training: Played) -> None:
+    for name in training.robot.messages:
+        assert all(isinstance(message, STREAMS[name].message_type) for message in training.robot.messages.get(name, []))
 
 
-def test_events_of_the_robot_come_in_order(training: tuple[Log, Log]) -> None:
-    names = [event.event for event in training[0].messages[channels.TRIAL]]
+def test_events_of_the_robot_come_in_order(training: Played) -> None:
+    names = [event.event for event in training.robot.messages[channels.TRIAL]]
     assert names == [EventName.START, EventName.ONSET, EventName.END]
-    assert {(event.robot, event.backend) for event in training[0].messages[channels.TRIAL]} == {
+    assert {(event.robot, event.backend) for event in training.robot.messages[channels.TRIAL]} == {
         ("liberobot", "hardware")
     }
 
 
-def test_clocks_of_the_robot_increase_and_begin_with_the_trial(training: tuple[Log, Log]) -> None:
+def test_clocks_of_the_robot_increase_and_begin_with_the_trial(training: Played) -> None:
     for name in (channels.MOCAP, channels.ACTUATOR_STATE):
-        utimes = [message.utime for message in training[0].messages[name]]
+        utimes = [message.utime for message in training.robot.messages[name]]
         assert utimes == sorted(set(utimes))
         assert utimes[0] > 0
-    numbers = [message.state_sequence for message in training[0].messages[channels.ACTUATOR_STATE]]
+    numbers = [message.state_sequence for message in training.robot.messages[channels.ACTUATOR_STATE]]
     assert numbers == sorted(set(numbers))
 
 
-def test_pressures_and_frames_come_no_faster_than_their_rates(training: tuple[Log, Log]) -> None:
+def test_pressures_and_frames_come_no_faster_than_their_rates(training: Played) -> None:
     """By their own clocks and numbers; on a busy machine an engine in real time may fall behind."""
     for name, number, rate in (
         (channels.MOCAP, "frame_number", 120.0),
         (channels.ACTUATOR_STATE, "state_sequence", 1000.0),
     ):
-        messages = training[0].messages[name]
+        messages = training.robot.messages[name]
         count = getattr(messages[-1], number) - getattr(messages[0], number)
         assert count / (1e-6 * (messages[-1].utime - messages[0].utime)) < 1.1 * rate
 
 
-def test_motion_can_be_learned_from_the_robot(training: tuple[Log, Log]) -> None:
-    config = config_for("mujoco")
-    samples = hand_samples(training[0], config)
+def test_motion_can_be_learned_from_the_robot(training: Played) -> None:
+    try:
+        samples = hand_samples(training.robot, config_for("mujoco"))
+    except TrainingDataError:
+        if not training.lost:
+            raise
+        pytest.skip(f"the machine was too busy: the robot has stood still for {training.lost:.2f} s")
     assert np.isfinite(samples.position).all()
     assert set(map(tuple, samples.theta)) == {THETA}
 
@@ -126,7 +142,7 @@ def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> Non
     places = {}
     with emulator() as running:
         for index in (0, 1):
-            log = play(running, tmp_path / str(index), TrialKind.THROW, Bystander(), 1.6, index)
+            log = play(running, tmp_path / str(index), TrialKind.THROW, Bystander(), PATIENCE, index)
             (landed,) = trials.events(log, EventName.BALL_LANDED)
             places[index] = landed.event_position
     for index, place in places.items():

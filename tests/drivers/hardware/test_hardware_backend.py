@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scripted_robot import (
     BODY,
+    PATIENCE,
     Watched,
     backend,
     config,
@@ -53,9 +54,13 @@ def test_motion_reaches_the_valves_and_the_streams_come_back(tmp_path: Path) -> 
     commanded = log.messages[channels.ACTUATOR_COMMAND][0].onset_utime
     assert onset.utime >= commanded - 1000
     assert re.fullmatch(r"-?\d+ us after the commanded onset", onset.detail)
-    # The simulated valves follow at once: the pressures are those of U, phase by phase.
-    given = {tuple(message.measured) for message in log.messages[channels.ACTUATOR_STATE]}
-    assert {tuple(row) for row in log.messages[channels.ACTUATOR_COMMAND][0].target[:2]} <= given
+    # The simulated valves follow what the board lets rise: to the pressures of U, one phase after the other. A busy
+    # machine may pass over a phase.
+    phases = [tuple(row) for row in log.messages[channels.ACTUATOR_COMMAND][0].target]
+    measured = [tuple(message.measured) for message in log.messages[channels.ACTUATOR_STATE]]
+    given = [phases.index(pressures) for pressures in measured if pressures in phases]
+    assert given
+    assert given == sorted(given)
 
 
 def test_streams_are_numbered_and_their_clocks_increase(tmp_path: Path) -> None:
@@ -81,7 +86,7 @@ def test_markers_are_where_they_are() -> None:
 
 def test_ball_that_lands_is_told_and_is_no_hit(tmp_path: Path) -> None:
     with scripted_robot() as robot:
-        log = play(config(robot), tmp_path / "log", Bystander(), 1.4, TrialKind.THROW)
+        log = play(config(robot), tmp_path / "log", Bystander(), PATIENCE, TrialKind.THROW)
     assert events(log) == [EventName.START, EventName.THROW, EventName.BALL_LANDED, EventName.END]
     assert robot.said.count("throw trial 0, seed 1") == 1
 
@@ -154,7 +159,7 @@ def test_lost_board_voids_the_trial_and_the_log_is_kept(tmp_path: Path) -> None:
                     connection.link.shutdown(2)
 
         with pytest.raises(TrialVoidError, match="the link to the valve board"):
-            play(config(robot), path, player(), 1.0, after_slice=cut)
+            play(config(robot), path, player(), PATIENCE, after_slice=cut)
     assert "is lost" in void(path)
     assert robot.valves.pressure == (0.0,) * NUM_VALVES
 
@@ -167,7 +172,7 @@ def test_person_who_disarms_ends_the_trial(tmp_path: Path) -> None:
                 robot.server.board.disarm(robot.server._clock(), "disarmed by a person")
 
         with pytest.raises(TrialVoidError, match="the board is vented: disarmed by a person"):
-            play(config(robot), tmp_path / "log", player(), 1.0, after_slice=disarm)
+            play(config(robot), tmp_path / "log", player(), PATIENCE, after_slice=disarm)
     assert "disarmed by a person" in void(tmp_path / "log")
 
 
@@ -204,10 +209,10 @@ class Mute:
 
 def test_planner_that_stops_is_vented_by_the_board(tmp_path: Path) -> None:
     with (
-        scripted_robot(watchdog=0.1) as robot,
+        scripted_robot(watchdog=0.5) as robot,
         pytest.raises(TrialVoidError, match="latched: no valid command for"),
     ):
-        play(config(robot), tmp_path / "log", Mute(100_000), 1.0)
+        play(config(robot), tmp_path / "log", Mute(100_000), PATIENCE)
     assert "no valid command" in void(tmp_path / "log")
 
 
@@ -220,15 +225,14 @@ def test_jump_of_the_boards_clock_voids_the_trial(tmp_path: Path) -> None:
                 robot.server._clock = lambda: clock() + 20_000
 
         with pytest.raises(TrialVoidError, match="the clock of the board jumped by"):
-            play(config(robot), tmp_path / "log", Bystander(), 1.0, after_slice=jump)
+            play(config(robot), tmp_path / "log", Bystander(), PATIENCE, after_slice=jump)
 
 
 def test_controller_that_computes_too_long_cannot_pass_for_a_trial(tmp_path: Path) -> None:
     """The clock on the wall is past the end of the trial when it returns, but the board has vented meanwhile."""
 
-    def think(utime: int) -> None:
-        if utime > 100_000:
-            time.sleep(0.6)
+    def think(_: int) -> None:
+        time.sleep(0.6)
 
     with scripted_robot(watchdog=0.1) as robot, pytest.raises(TrialVoidError, match="latched: nothing heard"):
         play(config(robot), tmp_path / "log", Bystander(), 0.3, after_slice=think)
