@@ -43,6 +43,12 @@ class Played(NamedTuple):
     lost: float
 
 
+def skip_if_held_up(lost: float) -> None:
+    """Leave a test out if the machine was so busy that the robot has stood still in the middle of it [s]."""
+    if lost:
+        pytest.skip(f"the machine was too busy: the robot has stood still for {lost:.2f} s")
+
+
 def play(
     running: RunningEmulator, path: Path, kind: TrialKind, controller: Controller, duration: float, index: int = 0
 ) -> Log:
@@ -108,9 +114,8 @@ def test_motion_can_be_learned_from_the_robot(training: Played) -> None:
     try:
         samples = hand_samples(training.robot, config_for("mujoco"))
     except TrainingDataError:
-        if not training.lost:
-            raise
-        pytest.skip(f"the machine was too busy: the robot has stood still for {training.lost:.2f} s")
+        skip_if_held_up(training.lost)
+        raise
     assert np.isfinite(samples.position).all()
     assert set(map(tuple, samples.theta)) == {THETA}
 
@@ -143,8 +148,10 @@ def test_emulator_throws_the_ball_that_the_trial_asks_for(tmp_path: Path) -> Non
     with emulator() as running:
         for index in (0, 1):
             log = play(running, tmp_path / str(index), TrialKind.THROW, Bystander(), PATIENCE, index)
-            (landed,) = trials.events(log, EventName.BALL_LANDED)
-            places[index] = landed.event_position
+            landed = trials.events(log, EventName.BALL_LANDED)
+            if not landed:
+                skip_if_held_up(running.robot.lost)
+            places[index] = landed[0].event_position
     for index, place in places.items():
         simulated = trials.play(
             trials.config("mujoco"), tmp_path / f"sim{index}", duration=1.6, kind=TrialKind.THROW, index=index
