@@ -2,24 +2,15 @@
 
 from collections import deque
 from math import sqrt
-from struct import Struct
 from typing import Any
 
-from imolo.messaging import channels
-from imolo.messaging.channels import CHANNELS, LONGEST_GAP, STREAMS
+from imolo.messaging.channels import CHANNELS, STREAMS
 from imolo.messaging.log import decode
+from imolo.messaging.numbering import NUMBERED, Numbering
 
-SEQUENCE_FIELDS = {
-    channels.ACTUATOR_COMMAND: "command_sequence",
-    channels.ACTUATOR_STATE: "state_sequence",
-    channels.MOCAP: "frame_number",
-    channels.PLAN: "answered_frame",
-}
 WINDOW = 1.0  # [s] over which the rate of a running session is counted
 MOST_RECENT = 10_000  # messages within it that are remembered
 SHOWN = 8  # elements of an array
-FINGERPRINT = 8  # [bytes] with which every message begins
-FORMATS = {"int8_t": "b", "int16_t": "h", "int32_t": "i", "int64_t": "q", "float": "f", "double": "d"}
 
 
 class ChannelStatistics:
@@ -28,8 +19,6 @@ class ChannelStatistics:
     Attributes:
         channel: Its name.
         count: Number of messages.
-        missing: Numbers that were passed over in their numbering, since the numbering last began; None where they
-            are not numbered.
         undecoded: Number of messages that are not of the channel's type.
         last_time: When it came [s].
     """
@@ -37,21 +26,17 @@ class ChannelStatistics:
     def __init__(self, channel: str) -> None:
         self.channel = channel
         self.count = 0
-        self.missing: int | None = 0 if channel in SEQUENCE_FIELDS else None
         self.undecoded = 0
         self.last_time = 0.0
         known = CHANNELS.get(channel)
         self._fingerprint = None if known is None else known.message_type._get_packed_fingerprint()
-        self._number = (
-            Struct("") if self.missing is None else _up_to(CHANNELS[channel].message_type, SEQUENCE_FIELDS[channel])
-        )
+        self._numbering = Numbering(channel) if channel in NUMBERED else None
         self._last_data: bytes | None = None
         self._first_time = 0.0
         self._follows = False  # whether the next message comes a gap after the last one
         self._gaps = 0
         self._gap_sum = 0.0
         self._gap_squares = 0.0
-        self._newest_number: int | None = None
         self._recent: deque[float] = deque(maxlen=MOST_RECENT)
 
     def add(self, data: bytes, time: float) -> None:
@@ -69,24 +54,20 @@ class ChannelStatistics:
         self._recent.append(time)
         if self._fingerprint is None:
             return
-        # A log may have millions of messages, so one that shows its type and its number is not decoded.
-        if not data.startswith(self._fingerprint) or len(data) < FINGERPRINT + self._number.size:
+        # A log may have millions of messages, so one that shows its type is not decoded.
+        if data.startswith(self._fingerprint) if self._numbering is None else self._numbering.count(data):
+            self._last_data = data
+        else:
             self.undecoded += 1
-            return
-        self._last_data = data
-        if self.missing is not None:
-            self._follow(self._number.unpack_from(data, FINGERPRINT)[-1])
 
     def pause(self) -> None:
         """Do not count the time until the next message."""
         self._follows = False
 
-    def _follow(self, number: int) -> None:
-        # Numbers that fall back are those of a new trial, or of a sender that was started again; so are far ones.
-        if self._newest_number is not None and self.missing is not None:
-            passed_over = number - self._newest_number - 1
-            self.missing += passed_over if 0 < passed_over <= LONGEST_GAP else 0
-        self._newest_number = number
+    @property
+    def missing(self) -> int | None:
+        """How many messages never came, by their numbers; None where they are not numbered."""
+        return None if self._numbering is None else self._numbering.missing
 
     @property
     def last(self) -> Any | None:
@@ -119,7 +100,7 @@ class ChannelStatistics:
             return "" if self.channel in CHANNELS else "(not a channel of ours)"
         parts = []
         for name in last.__slots__:
-            if name not in ("utime", SEQUENCE_FIELDS.get(self.channel)) and not name.startswith("num_"):
+            if name not in ("utime", NUMBERED.get(self.channel)) and not name.startswith("num_"):
                 parts.append(f"{name} {_short(getattr(last, name))}")
         return ", ".join(parts)
 
@@ -156,9 +137,3 @@ class BusStatistics:
         """The channels that were heard."""
         ours = [self._channels[name] for name in CHANNELS if name in self._channels]
         return ours + [found for name, found in self._channels.items() if name not in CHANNELS]
-
-
-def _up_to(message_type: type[Any], field: str) -> Struct:
-    """Return how a message begins, up to a number that only numbers stand before."""
-    names = message_type.__slots__[: message_type.__slots__.index(field) + 1]
-    return Struct(">" + "".join(FORMATS[kind] for kind in message_type.__typenames__[: len(names)]))

@@ -1,6 +1,5 @@
 """How the streams do: rates, gaps in the numbers of their messages, and how long an answer takes."""
 
-import struct
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -8,16 +7,10 @@ from collections.abc import Callable
 from imolo.contracts.trial import EventName
 from imolo.messaging import channels
 from imolo.messaging.bus import UNREADABLE
+from imolo.messaging.numbering import Numbering
 from imolo_msgs import trial_event_t
 
-# Where the number of a message is in its bytes: behind fingerprint and utime, 8 bytes each.
-NUMBERED = {
-    channel: channels.CHANNELS[channel].message_type._get_packed_fingerprint()
-    for channel in (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
-}
-_NUMBER = struct.Struct(">i")
-_NUMBER_AT = 16
-FIRST = 1  # number of the first message of a trial
+FOLLOWED = (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
 RATES_OVER = 1.0  # [s]
 
 
@@ -26,19 +19,16 @@ class Streams:
 
     Attributes:
         total: Number of messages, by channel.
-        missing: Number of messages that never came, by channel, as far as messages are numbered. A frame
-            that the cameras did not deliver counts as well.
-        disordered: Number of messages that came twice or after a later one, by channel.
+        numbers: The gaps in the numbers of messages, by channel. A frame that the cameras did not deliver counts as
+            well.
         rates: Messages per second, by channel [Hz].
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         """Start to count; `now` is the clock of the machine [s]."""
         self.total: Counter[str] = Counter()
-        self.missing: Counter[str] = Counter()
-        self.disordered: Counter[str] = Counter()
+        self.numbers = {channel: Numbering(channel) for channel in FOLLOWED}
         self.rates: dict[str, float] = {}
-        self._last: dict[str, int] = {}
         self._now = now
         self._counted: Counter[str] = Counter()
         self._since = now()
@@ -48,24 +38,13 @@ class Streams:
         self.total[channel] += 1
         if channel == channels.TRIAL and is_start(data):
             self.begin_trial()
-        if channel not in NUMBERED or len(data) < _NUMBER_AT + _NUMBER.size or not data.startswith(NUMBERED[channel]):
-            return
-        (number,) = _NUMBER.unpack_from(data, _NUMBER_AT)
-        last = self._last.get(channel)
-        if last is not None and FIRST < number <= last:
-            self.disordered[channel] += 1
-            return
-        # The numbers start anew with every trial.
-        expected = FIRST if last is None or number <= last else last + 1
-        if not FIRST <= number <= expected + channels.LONGEST_GAP:
-            return
-        if last is not None or number == FIRST:
-            self.missing[channel] += max(number - expected, 0)
-        self._last[channel] = number
+        if channel in self.numbers:
+            self.numbers[channel].count(data)
 
     def begin_trial(self) -> None:
         """Expect the numbers of all channels to start anew."""
-        self._last = dict.fromkeys(NUMBERED, FIRST - 1)
+        for numbering in self.numbers.values():
+            numbering.begin()
 
     def measure(self) -> None:
         """Measure the rates, if enough time has passed since the last time."""
@@ -85,8 +64,9 @@ class Streams:
 
     def describe_gaps(self) -> str:
         """Return the gaps of all channels in words."""
-        missing = ", ".join(f"{count} {name}" for name, count in sorted(self.missing.items()) if count)
-        disordered = ", ".join(f"{count} {name}" for name, count in sorted(self.disordered.items()) if count)
+        numbers = sorted(self.numbers.items())
+        missing = ", ".join(f"{one.missing} {name}" for name, one in numbers if one.missing)
+        disordered = ", ".join(f"{one.disordered} {name}" for name, one in numbers if one.disordered)
         return f"missing {missing or 'none'}" + (f", out of order {disordered}" if disordered else "")
 
 

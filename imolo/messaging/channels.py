@@ -67,6 +67,3 @@ SESSION = _by_name(
 """What the programs of a live session say to each other beside it, see docs/live.md."""
 
 CHANNELS = STREAMS | SESSION
-
-LONGEST_GAP = 100_000
-"""Numbers of messages that no trial passes over; what is further ahead is another sender's."""

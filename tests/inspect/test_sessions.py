@@ -15,6 +15,7 @@ from imolo.contracts.trial import EventName
 from imolo.errors import FieldError
 from imolo.inspect.diff import compare_logs
 from imolo.inspect.fields import parse_selector
+from imolo.inspect.plot import draw_fields
 from imolo.inspect.series import read_series
 from imolo.inspect.top import log_table
 from imolo.inspect.trials import Timeline, TrialEvents
@@ -112,6 +113,12 @@ def test_trial_that_ran_faster_than_it_was_recorded_ends_before_the_next(tmp_pat
         heard = [(each.time - WALL, each.trial) for each in timeline]
     assert heard == [(0, 0), (4_000_000, 0), (4_000_000, 1), (4_000_200, 1)]
     assert timeline.origin == WALL
+
+
+@pytest.mark.parametrize(("count", "visible"), [(1, True), (2, False)])
+def test_line_of_a_single_message_is_drawn_as_a_point(tmp_path: Path, count: int, visible: bool) -> None:
+    path = write_events(tmp_path / "log", [ball_at(300 * number, WALL + 300 * number) for number in range(count)])
+    assert all((line.get_marker() == ".") == visible for line in draw_fields([path], [BALL]).axes[0].lines)
 
 
 def test_log_of_messages_without_a_time_of_their_own_begins_with_the_first(tmp_path: Path) -> None:

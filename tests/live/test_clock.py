@@ -112,6 +112,10 @@ def start() -> bytes:
         (("start", 1, 2), 0, 0),
         ((1, 2, 2**30, -5, 3, 5), 1, 0),  # a stranger's
         ((2**30, 7, 8), 0, 0),
+        ((300, 200, 201), 199, 0),  # the next trial, whose start was lost
+        ((300, 201, 301), 0, 1),
+        ((1, 100_002, 100_003), 100_000, 0),
+        ((1, 100_003, 2), 0, 0),
     ],
 )
 def test_gaps_in_the_numbers_are_counted(numbers: tuple[int | str, ...], missing: int, disordered: int) -> None:
@@ -121,7 +125,8 @@ def test_gaps_in_the_numbers_are_counted(numbers: tuple[int | str, ...], missing
             streams.count(channels.MOCAP, frame(number))
         else:
             streams.count(channels.TRIAL, start())
-    assert (streams.missing[channels.MOCAP], streams.disordered[channels.MOCAP]) == (missing, disordered)
+    mocap = streams.numbers[channels.MOCAP]
+    assert (mocap.missing, mocap.disordered) == (missing, disordered)
     assert streams.total[channels.MOCAP] == sum(isinstance(number, int) for number in numbers)
 
 
