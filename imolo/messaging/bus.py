@@ -133,7 +133,7 @@ class Bus:
             for channel, (handler, data) in newest.items():
                 handler(channel, data)
 
-    def settle(self, channel: str, timeout: float = 1.0) -> None:
+    def settle(self, channel: str, timeout: float = 5.0) -> None:
         """Handle messages until all that this bus sent on a channel has come back, which over a network takes a while.
 
         Args:
