@@ -10,7 +10,7 @@ from imolo.messaging.bus import UNREADABLE
 from imolo.messaging.numbering import Numbering
 from imolo_msgs import trial_event_t
 
-FOLLOWED = (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)
+FOLLOWED = (channels.MOCAP, channels.ACTUATOR_STATE, channels.ACTUATOR_COMMAND)  # PLAN passes over skipped frames
 RATES_OVER = 1.0  # [s]
 
 
